@@ -1,0 +1,180 @@
+"""Mitsuba 3 as a render server for the throughput benchmark. Needs only mitsuba and NumPy.
+
+    python mitsuba_cornell.py llvm_ad_rgb        (or scalar_rgb, or any other RGB variant)
+
+Reads one JSON object per line from stdin and answers each with one JSON object on stdout:
+
+* a scene ``{"width", "height", "fov", "origin", "target", "up", "bounces", "quads", "spheres"}``, like ``CORNELL``
+  below -> ``{"ready": true, "variant", "mitsuba", "threads"}``;
+* a request ``{"spp": 64, "seed": 3}`` -> ``{"seconds", "file"}``, the image as a .npy file of shape (height, width, 3),
+  linear radiance. ``seconds`` covers the rendering and the copy to NumPy, and nothing else: the first request for a
+  scene and a number of samples renders twice and times the second, because Mitsuba compiles when either changes.
+
+A request that comes before any scene renders ``CORNELL``. A line that fails is answered ``{"error": ...}``. The images
+live until stdin closes. In a description ``fov`` is vertical, in degrees, ``bounces`` counts scattering events, a quad
+is ``corner + s edge_u + t edge_v``, reflects on both sides and emits where ``cross(edge_u, edge_v)`` points.
+"""
+
+import json
+import os
+import re
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+WHITE, RED, GREEN, BLACK = (0.73, 0.73, 0.73), (0.65, 0.05, 0.05), (0.12, 0.45, 0.15), (0.0, 0.0, 0.0)
+
+
+def quad(corner, edge_u, edge_v, albedo, emission=None, mirror=False):
+    return dict(corner=corner, edge_u=edge_u, edge_v=edge_v, albedo=albedo, mirror=mirror, emission=emission)
+
+
+def sphere(center, radius, albedo, emission=None, mirror=False):
+    return dict(center=center, radius=radius, albedo=albedo, mirror=mirror, emission=emission)
+
+
+CORNELL = dict(
+    width=256,
+    height=256,
+    fov=40.0,
+    origin=(0.0, 0.0, 3.9),
+    target=(0.0, 0.0, 0.0),
+    up=(0.0, 1.0, 0.0),
+    bounces=5,
+    quads=[
+        quad((-1, -1, 1), (2, 0, 0), (0, 0, -2), WHITE),  # floor
+        quad((-1, 1, -1), (2, 0, 0), (0, 0, 2), WHITE),  # ceiling
+        quad((-1, -1, -1), (2, 0, 0), (0, 2, 0), WHITE),  # back wall
+        quad((-1, -1, 1), (0, 0, -2), (0, 2, 0), RED),  # left wall
+        quad((1, -1, -1), (0, 0, 2), (0, 2, 0), GREEN),  # right wall
+        quad((-0.25, 0.99, -0.25), (0.5, 0, 0), (0, 0, 0.5), BLACK, emission=(15.0, 15.0, 15.0)),
+    ],
+    spheres=[sphere((-0.4, -0.65, -0.3), 0.35, WHITE), sphere((0.4, -0.65, 0.3), 0.35, WHITE)],
+)
+
+
+def find_llvm(oldest=19):
+    """Return the path of the LLVM library: DRJIT_LIBLLVM_PATH, or version ``oldest`` or newer in the usual folders."""
+    if path := os.environ.get("DRJIT_LIBLLVM_PATH"):
+        return path
+    found = {}
+    roots = ("/usr/lib", "/usr/lib64", "/usr/local/lib", "/usr/local/opt", "/opt/homebrew/lib", "/opt/homebrew/opt")
+    for root in map(Path, roots):
+        for folder in (root, *root.glob("*-linux-gnu"), *root.glob("llvm*/lib"), *root.glob("llvm*/lib64")):
+            for file in folder.glob("libLLVM*"):
+                # libLLVM-19.so, libLLVM.so.19.1, libLLVM.19.dylib, or the version in .../llvm-19/lib/libLLVM.so
+                name = re.fullmatch(r"libLLVM(?:-|\.so\.|\.)?([\d.]*?)(?:\.so[.\d]*|\.dylib)?", file.name)
+                version = name and (re.match(r"\d+", name[1]) or re.search(r"(?<=llvm[-@])\d+", str(folder)))
+                if version and int(version[0]) >= oldest:
+                    found.setdefault(int(version[0]), str(file))
+    if not found:
+        raise SystemExit(
+            f"No LLVM library of version {oldest} or newer was found: install it (Debian and Ubuntu: libllvm{oldest}) "
+            "or set DRJIT_LIBLLVM_PATH to the library file."
+        )
+    return found[min(found)]
+
+
+def rgb(values):
+    return {"type": "rgb", "value": [float(value) for value in values]}
+
+
+def surface(item):
+    """The part of a Mitsuba shape that every primitive shares: how it reflects and whether it emits."""
+    if item.get("mirror"):
+        bsdf = {"type": "conductor", "material": "none", "specular_reflectance": rgb(item["albedo"])}
+    else:
+        bsdf = {"type": "diffuse", "reflectance": rgb(item["albedo"])}
+    shape = {"bsdf": {"type": "twosided", "side": bsdf}}
+    if item.get("emission") is not None:
+        shape["emitter"] = {"type": "area", "radiance": rgb(item["emission"])}
+    return shape
+
+
+def build(mi, description):
+    """Return the Mitsuba scene of a description."""
+    transform = mi.ScalarTransform4f
+    scene = {
+        "type": "scene",
+        # Mitsuba counts edges, so emission seen directly is depth 1. rr_depth keeps Russian roulette out.
+        "integrator": {"type": "path", "max_depth": description["bounces"] + 1, "rr_depth": 1000},
+        "sensor": {
+            "type": "perspective",
+            "fov": description["fov"],
+            "fov_axis": "y",
+            "to_world": transform().look_at(*(list(description[key]) for key in ("origin", "target", "up"))),
+            "sampler": {"type": "independent"},
+            "film": {
+                "type": "hdrfilm",
+                "width": description["width"],
+                "height": description["height"],
+                "rfilter": {"type": "box"},
+                "pixel_format": "rgb",
+                "component_format": "float32",
+            },
+        },
+    }
+    for i, item in enumerate(description.get("quads", [])):
+        # Mitsuba's rectangle spans [-1, 1]^2 in x and y and looks along +z.
+        u, v = (np.asarray(item[key], np.float64) / 2 for key in ("edge_u", "edge_v"))
+        normal = np.cross(u, v)
+        matrix = np.eye(4)
+        matrix[:3] = np.stack([u, v, normal / np.linalg.norm(normal), item["corner"] + u + v], axis=1)
+        scene[f"quad{i}"] = {"type": "rectangle", "to_world": transform(matrix), **surface(item)}
+    for i, item in enumerate(description.get("spheres", [])):
+        place = {"center": list(item["center"]), "radius": float(item["radius"])}
+        scene[f"sphere{i}"] = {"type": "sphere", **place, **surface(item)}
+    return mi.load_dict(scene)
+
+
+def timed_render(mi, scene, spp, seed):
+    start = time.perf_counter()
+    image = np.array(mi.render(scene, spp=spp, seed=seed))
+    return time.perf_counter() - start, image
+
+
+def serve(variant, requests, reply, folder):
+    """Answer every line of ``requests`` through ``reply``; images go to ``folder``."""
+    if variant.startswith("llvm"):
+        os.environ["DRJIT_LIBLLVM_PATH"] = find_llvm()
+    import drjit
+    import mitsuba as mi
+
+    mi.set_variant(variant)
+    scene, warm = None, set()
+    for count, line in enumerate(filter(str.strip, requests)):
+        try:
+            message = json.loads(line)
+            if "spp" not in message or scene is None:
+                scene, warm = build(mi, message if "spp" not in message else CORNELL), set()
+            if "spp" not in message:
+                about = {"variant": variant, "mitsuba": mi.__version__, "threads": drjit.thread_count()}
+                reply({"ready": True, **about})
+                continue
+            spp, seed = int(message["spp"]), int(message.get("seed", 0))
+            if spp not in warm:
+                timed_render(mi, scene, spp, seed)
+                warm.add(spp)
+            seconds, image = timed_render(mi, scene, spp, seed)
+            file = Path(folder) / f"{count}.npy"
+            np.save(file, image)
+            reply({"seconds": seconds, "file": str(file)})
+        except Exception as error:  # a server says what went wrong and takes the next line
+            reply({"error": f"{type(error).__name__}: {error}"})
+
+
+def main():
+    if len(sys.argv) != 2:
+        raise SystemExit("usage: mitsuba_cornell.py VARIANT  (for example llvm_ad_rgb or scalar_rgb)")
+    # Mitsuba logs to stdout: keep the real one for answers and send everything else to stderr.
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)
+    with tempfile.TemporaryDirectory(prefix="mitsuba-") as folder:
+        serve(sys.argv[1], sys.stdin, lambda message: print(json.dumps(message), file=answers), folder)
+
+
+if __name__ == "__main__":
+    main()

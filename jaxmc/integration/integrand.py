@@ -1,0 +1,78 @@
+"""Integrands: functions of one point of the unit hypercube."""
+
+import dataclasses
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+@partial(jax.tree_util.register_dataclass, data_fields=["params"], meta_fields=["fn", "dim", "lazy", "labels"])
+@dataclasses.dataclass(frozen=True)
+class Integrand:
+    """A function ``fn(u, *params)`` of one point ``u`` in (0, 1)^dim, to be integrated over the unit hypercube.
+
+    ``fn`` is written for one point; the driver makes it wide with ``jax.vmap``. It returns a number, an array or a
+    pytree of them. ``fn`` and ``dim`` are static, ``params`` are leaves: the same integrand with other parameter
+    values does not recompile, and ``jax.grad`` flows through them.
+
+    Attributes:
+        fn: ``fn(u, *params) -> value``; ``u[k]`` is coordinate k.
+        dim: number of coordinates.
+        params: a tuple of pytrees, passed on to ``fn``.
+        lazy: ``fn`` uses ``u`` by ``u[k]`` only. Then it gets a point that computes coordinates when they are asked
+            for, which saves time and memory in many dimensions; otherwise it gets an array of shape ``(dim,)``.
+        labels: what each coordinate decides, ``dim`` words or none.
+
+    Raises:
+        ValueError: ``fn`` is not callable, or ``dim`` is not a positive integer.
+    """
+
+    fn: Callable[..., Any]
+    dim: int
+    params: tuple = ()
+    lazy: bool = False
+    labels: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        if not callable(self.fn):
+            raise ValueError(f"fn must be a function of one point, got {self.fn!r}")
+        if isinstance(self.dim, bool) or not isinstance(self.dim, int | np.integer) or self.dim < 1:
+            raise ValueError(f"dim must be a positive integer, got {self.dim!r}; pass the number of coordinates of u")
+
+    def __call__(self, u):
+        """Return the value at one point: an array of shape ``(dim,)`` or a lazy point."""
+        return self.fn(u, *self.params)
+
+    def at(self, point):
+        """Return the value at a lazy point, as the driver evaluates it."""
+        return self(point if self.lazy else point[jnp.arange(self.dim)])
+
+    def batch(self, u):
+        """Return the values at an array of points of shape ``(n, dim)``: leading axis n on every leaf.
+
+        Lets other integrators (SciPy, vegas, QMCPy) use the integrand.
+        """
+        u = jnp.asarray(u, float)
+        if u.ndim != 2 or u.shape[1] != self.dim:
+            raise ValueError(f"points must have shape (n, {self.dim}), got {u.shape}")
+        return _batch(self, u)
+
+
+@jax.jit
+def _batch(integrand, u):
+    return jax.vmap(integrand)(u)
+
+
+def as_integrand(f, dim=None) -> Integrand:
+    """Return ``f`` as an ``Integrand``: one already, or a function of ``u`` together with its dimension."""
+    if isinstance(f, Integrand):
+        if dim is not None and dim != f.dim:
+            raise ValueError(f"dim={dim} contradicts the integrand, which has dim={f.dim}; leave dim out")
+        return f
+    if dim is None:
+        raise ValueError("a plain function needs its dimension: integrate(f, dim=..., n=...)")
+    return Integrand(f, dim)

@@ -1,0 +1,102 @@
+"""Samplers: random access from (seed, sample index, dimension) to a coordinate in (0, 1).
+
+A sampler has no state. Coordinates are computed inside the kernel in 32-bit integer arithmetic, so a sample depends on
+its index alone: not on chunk size, thread, device or machine, and any sample can be replayed.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+GOLDEN = 0x9E3779B9  # 2^32 / golden ratio, odd: spreads consecutive dimensions over the words
+
+
+class Index(NamedTuple):
+    """A 64-bit sample index as two 32-bit words."""
+
+    high: jax.Array
+    low: jax.Array
+
+    def __add__(self, offset):
+        """Add a 32-bit unsigned offset, with carry."""
+        low = self.low + offset
+        return Index(self.high + (low < self.low).astype(jnp.uint32), low)
+
+
+def index_words(index) -> np.ndarray:
+    """Return the (high, low) words of integers below 2^64, shape ``(..., 2)``."""
+    index = np.asarray(index, dtype=np.uint64)
+    return np.stack([index >> np.uint64(32), index & np.uint64(0xFFFFFFFF)], axis=-1).astype(np.uint32)
+
+
+def seed_words(key) -> np.ndarray:
+    """Return four 32-bit words from a seed: an integer in [0, 2^64) or a ``jax.random`` key."""
+    if isinstance(key, jax.Array):
+        data = jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
+        seed = int.from_bytes(np.asarray(data, np.uint32).tobytes()[-8:], "big")
+    else:
+        seed = key
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= int(seed) < 1 << 64:
+        raise ValueError(f"key must be an integer in [0, 2^64) or a jax.random key, got {key!r}")
+    # Spread the seed over four words, so that neighbouring seeds share nothing (Steele et al. 2014, SplitMix).
+    return np.random.SeedSequence(int(seed)).generate_state(4, np.uint32)
+
+
+class Independent:
+    """Independent uniform points: a counter-based integer hash of (seed, index, dimension).
+
+    Each index is first mixed with the seed into two 32-bit words; each coordinate then takes one further mix of both
+    words and the dimension. A coordinate is a multiple of 2^-32 plus 2^-33, rounded to the floating type and kept
+    below 1: it resolves the interval next to 0 down to 2^-33 and never equals 0 or 1. With ``jax_enable_x64`` it has
+    53 bits, and its leading 32 are the same.
+    """
+
+    def __eq__(self, other):
+        return type(other) is type(self)
+
+    def __hash__(self):
+        return hash(type(self))
+
+    def __repr__(self):
+        return "Independent()"
+
+    def point(self, seed, index: Index) -> "Point":
+        """Return the lazy point of one sample. ``seed`` holds the four words of ``seed_words``."""
+        first = _mix(_mix(index.low ^ seed[0]) + index.high + seed[1])
+        second = _mix(_mix(index.low * jnp.uint32(0x85EBCA6B) + seed[2]) ^ (index.high + seed[3]))
+        return Point(first, second)
+
+
+class Point:
+    """One point of the unit hypercube that computes a coordinate when it is asked for."""
+
+    def __init__(self, first, second):
+        self.first, self.second = first, second
+
+    def __getitem__(self, dimension):
+        """Return coordinate ``dimension``, an integer, a traced integer or an array of them."""
+        bits = self._bits(dimension)
+        if jax.config.jax_enable_x64:
+            # Take the low bits from a dimension that nobody can name: the top bit is set.
+            low = self._bits(jnp.asarray(dimension).astype(jnp.uint32) | jnp.uint32(1 << 31)) >> 11
+            return (bits.astype(jnp.float64) * 2.0**21 + low.astype(jnp.float64) + 0.5) * 2.0**-53
+        return jnp.minimum(bits.astype(jnp.float32) * 2.0**-32 + 2.0**-33, 1.0 - 2.0**-24)
+
+    def _bits(self, dimension):
+        x = self.first + jnp.uint32(GOLDEN) * jnp.asarray(dimension).astype(jnp.uint32)
+        x = (x ^ (x >> 16)) * jnp.uint32(0x7FEB352D)
+        x = x ^ self.second
+        x = (x ^ (x >> 15)) * jnp.uint32(0x846CA68B)
+        return x ^ (x >> 16)
+
+
+def _mix(x):
+    """Permute the 32-bit words so that every input bit reaches every output bit.
+
+    Shifts and multipliers: C. Wellons 2018, "Prospecting for Hash Functions" (lowbias32).
+    """
+    x = (x ^ (x >> 16)) * jnp.uint32(0x7FEB352D)
+    x = (x ^ (x >> 15)) * jnp.uint32(0x846CA68B)
+    return x ^ (x >> 16)

@@ -1,0 +1,70 @@
+"""The pinhole camera."""
+
+import dataclasses
+import math
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from .primitives import as_vec3, is_concrete
+from .shapes import Ray, ray
+from .vec import Vec3, cross, dot, normalize
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["origin", "right", "down", "forward"],
+    meta_fields=["width", "height"],
+)
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """A camera as the kernel uses it: the direction to film position (x, y) in [-1, 1]^2 is
+    ``forward + right * x + down * y``, before normalisation.
+    """
+
+    origin: Vec3
+    right: Vec3
+    down: Vec3
+    forward: Vec3
+    width: int
+    height: int
+
+    def ray(self, x, y) -> Ray:
+        """Return the ray through film position (x, y), in pixels from the top left corner."""
+        s, t = x * (2.0 / self.width) - 1.0, y * (2.0 / self.height) - 1.0
+        return ray(self.origin, normalize(self.forward + self.right * s + self.down * t))
+
+
+def PinholeCamera(origin, target, up=(0.0, 1.0, 0.0), fov=40.0, width=256, height=256) -> Camera:
+    """Return a pinhole camera; the film is sampled uniformly within each pixel (box filter).
+
+    Args:
+        origin: where the eye is.
+        target: a point in the middle of the image.
+        up: a direction that points up in the image.
+        fov: vertical field of view in degrees, between 0 and 180.
+        width: pixels from left to right.
+        height: pixels from top to bottom; pixel (0, 0) is top left.
+
+    Raises:
+        ValueError: a size that is not a positive integer, a field of view out of range, or a view along ``up``.
+    """
+    for name, value in (("width", width), ("height", height)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 < value <= 1 << 15:
+            raise ValueError(f"PinholeCamera {name} must be an integer from 1 to {1 << 15}, got {value!r}")
+    if not (np.shape(fov) == () and is_concrete(fov) and 0.0 < fov < 180.0):
+        raise ValueError(f"PinholeCamera fov must lie between 0 and 180 degrees, got {fov!r}")
+    origin, target, up = (as_vec3(f"PinholeCamera {k}", v) for k, v in (("origin", origin), ("target", target), ("up", up)))
+    forward = target - origin
+    right = cross(forward, up)
+    if is_concrete((forward, right)) and not dot(right, right) > 1e-12 * dot(forward, forward) * dot(up, up):
+        raise ValueError("PinholeCamera looks along its up direction, or origin and target coincide; change up or target")
+    forward = forward / dot(forward, forward) ** 0.5
+    right = right / dot(right, right) ** 0.5
+    tangent = math.tan(math.radians(float(fov)) / 2.0)
+    down = cross(forward, right) * tangent
+    right = right * (tangent * width / height)
+    vectors: Any = [Vec3(*(np.asarray(c, np.float64) if is_concrete(c) else c for c in v)) for v in (origin, right, down, forward)]
+    return Camera(*vectors, int(width), int(height))

@@ -1,0 +1,132 @@
+"""Replay of single paths: any sample of an image, vertex by vertex, from its index alone."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..integration.samplers import Independent, Index, index_words, seed_words
+from .camera import Camera
+from .integrands import path_integrand
+from .materials import luminance
+from .paths import trace
+from .scene import Scene
+from .vec import Vec3
+
+
+class Vertex(NamedTuple):
+    """One scattering event. ``throughput`` and ``gained`` are luminances: of the path before the event, and of the
+    radiance that the event added, by a sampled light or by what the next ray met."""
+
+    kind: str
+    primitive: int
+    point: np.ndarray
+    normal: np.ndarray
+    throughput: float
+    gained: float
+
+
+class Path(NamedTuple):
+    """A replayed sample: its index, pixel (column, row), value (number or RGB), vertices, how it ended, and ``direct``,
+    the luminance that the camera ray met by itself."""
+
+    index: int
+    pixel: tuple[int, int]
+    value: np.ndarray
+    vertices: list[Vertex]
+    end: str
+    direct: float
+
+    @property
+    def line(self) -> str:
+        """The path in one line, up to the event that gained most: ``diffuse -> mirror -> light``."""
+        gained = max((v.gained for v in self.vertices), default=0.0)
+        if self.direct > gained:
+            return "light or sky seen directly"
+        if gained <= 0.0:
+            return " -> ".join([*(v.kind for v in self.vertices), self.end])
+        last = int(np.argmax([v.gained for v in self.vertices]))
+        met = last == len(self.vertices) - 1 and self.end in ("light", "sky")
+        return " -> ".join([*(v.kind for v in self.vertices[: last + 1]), self.end if met else "sampled light"])
+
+    def __str__(self):
+        value = ", ".join(f"{v:.6g}" for v in np.atleast_1d(self.value))
+        head = f"sample {self.index}, pixel {self.pixel}: value {value}\n{self.line}\n"
+        columns = f"{'':>3} {'kind':8} {'prim':>4} {'x':>11} {'y':>11} {'z':>11} {'throughput':>12} {'gained':>12}\n"
+        rows = [
+            f"{i:>3} {v.kind:8} {v.primitive:>4} {v.point[0]:>11.6f} {v.point[1]:>11.6f} {v.point[2]:>11.6f} "
+            f"{v.throughput:>12.6g} {v.gained:>12.6g}"
+            for i, v in enumerate(self.vertices, 1)
+        ]
+        return head + columns + "\n".join([*rows, f"ends at: {self.end}"])
+
+
+def replay(scene: Scene, camera: Camera, indices, *, key=0, sampler=Independent(), **options) -> list[Path] | Path:
+    """Replay samples of ``render`` with the same scene, camera, key, sampler and path options, from their indices.
+
+    Args:
+        indices: one index, or several.
+
+    Returns:
+        One ``Path``, or a list of them. Values agree with the render's to rounding.
+
+    Raises:
+        ValueError: an index that is not an integer in [0, 2^63), or options as in ``path_integrand``.
+    """
+    integrand = path_integrand(scene, camera, **options)
+    several = [indices] if np.ndim(indices) == 0 else list(indices)
+    if not all(isinstance(i, int | np.integer) and not isinstance(i, bool) and 0 <= i < 1 << 63 for i in several):
+        raise ValueError(f"sample indices must be integers in [0, 2^63), got {indices!r}")
+    if not several:
+        return []
+    pixels = np.asarray(several, np.uint64) % np.uint64(camera.width * camera.height)
+    seen = _replay(integrand, jnp.asarray(seed_words(key)), index_words(several), pixels.astype(np.uint32), sampler)
+    seen = jax.tree.map(np.asarray, seen)
+    paths = [_path(scene, camera, i, p, jax.tree.map(lambda x: x[k], seen)) for k, (i, p) in enumerate(zip(several, pixels))]  # noqa: B023 E501
+    return paths[0] if np.ndim(indices) == 0 else paths
+
+
+@partial(jax.jit, static_argnames="sampler")
+def _replay(integrand, seed, words, pixels, sampler):
+    def observe(surface, after):
+        return {
+            "primitive": surface.primitive, "point": jnp.stack(surface.point), "normal": jnp.stack(surface.normal),
+            "throughput": luminance(after.beta), "radiance": luminance(after.radiance), "next": after.hit.primitive,
+        }  # fmt: skip
+
+    def one(words, pixel):
+        scene, camera = integrand.params
+        u = sampler.point(seed, Index(words[0], words[1]))
+        start = integrand.fn.start(u, camera, pixel)
+        radiance, seen = trace(scene, integrand.fn.strategy, u, 2, start, observe)
+        direct, _ = trace(scene, integrand.fn.strategy.without_bounces(), u, 2, start)
+        value = jnp.stack(radiance) if isinstance(radiance, Vec3) else radiance
+        return value, luminance(direct), seen
+
+    return jax.vmap(one)(words, pixels)
+
+
+def _path(scene, camera, index, pixel, seen) -> Path:
+    value, direct, events = seen
+    vertices, throughput, collected, end = [], 1.0, float(direct), None
+    for k in range(0 if events is None else len(events["primitive"])):
+        primitive = int(events["primitive"][k])
+        if primitive < 0:
+            break
+        kind = "mirror" if primitive in scene.mirrors else "diffuse"
+        total = float(events["radiance"][k])
+        vertices.append(Vertex(kind, primitive, events["point"][k], events["normal"][k], throughput, total - collected))
+        throughput, collected = float(events["throughput"][k]), total
+        end = int(events["next"][k])
+    if end is None:
+        end_word = "light" if direct > 0.0 else "nothing"
+    elif end in scene.lights:
+        end_word = "light"
+    elif end < 0:
+        end_word = "sky" if scene.sky is not None else "nothing"
+    else:
+        end_word = "last bounce"
+    pixel = int(pixel)
+    return Path(int(index), (pixel % camera.width, pixel // camera.width), value, vertices, end_word, float(direct))

@@ -1,0 +1,191 @@
+"""What is asked of a scene: the image of a camera, the radiance along a ray, the irradiance at a point."""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..integration.driver import integrate_each, positive
+from ..integration.estimate import Estimate
+from ..integration.integrand import Integrand
+from ..integration.moments import Moments, MomentsResult
+from ..integration.samplers import Independent
+from . import shapes
+from .camera import Camera
+from .paths import Hit, PathState, Strategy, Surface, black, closest_hit, finish, follow, scatter, surface_at, trace
+from .primitives import as_vec3, is_concrete
+from .scene import Scene
+from .vec import Vec3, normalize
+
+
+def path_integrand(scene: Scene, camera: Camera, *, bounces, directions="cosine", lights="mis", clamp=None) -> Integrand:
+    """Return the mean radiance of a camera's image as one flat integral.
+
+    The first two coordinates are the film position (x, y) over the whole image, then come 2 to 5 for each scattering
+    event; ``Integrand.labels`` names them. The value is radiance, linear: a number for a grey scene, else RGB of shape
+    (3,). ``jax.grad`` with respect to the scene's values gives the interior derivative only: what moving silhouettes
+    and shadow edges add is missing.
+
+    Args:
+        scene: what is there.
+        camera: where it is seen from.
+        bounces: largest number of scattering events; 0 is emission seen directly.
+        directions: how a diffuse surface draws directions: "cosine" (weighted) or "uniform".
+        lights: "none" waits until a path meets a light, "nee" samples a light at each event, "mis" does both and
+            weights them by the power heuristic.
+        clamp: scale each sample down to this luminance; biased. None: leave it.
+
+    Raises:
+        ValueError: an unknown option, or a scene or camera that is none.
+    """
+    _check(scene, Scene, "scene", "mc.Scene([...])")
+    _check(camera, Camera, "camera", "mc.PinholeCamera(...)")
+    strategy = Strategy(bounces, directions, lights, clamp)
+    return _integrand(_Film(strategy), scene, (camera,), ("film: x", "film: y"))
+
+
+def radiance(scene: Scene, origin, direction, *, bounces, directions="cosine", lights="mis", clamp=None) -> Integrand:
+    """Return the radiance that arrives at ``origin`` from ``direction`` as an integrand; options as ``path_integrand``.
+
+    ``direction`` points away from ``origin``, along the ray, and may have any length.
+    """
+    _check(scene, Scene, "scene", "mc.Scene([...])")
+    strategy = Strategy(bounces, directions, lights, clamp)
+    return _integrand(_Ray(strategy), scene, (as_vec3("origin", origin), _unit("direction", direction)), ())
+
+
+def irradiance(scene: Scene, point, normal, *, bounces, directions="cosine", lights="mis", clamp=None) -> Integrand:
+    """Return the irradiance at a point as an integrand; options as ``path_integrand``.
+
+    ``bounces`` counts scattering events between light and point: 0 is direct light alone. The receiver is not part of
+    the scene. ``normal`` may have any length.
+    """
+    _check(scene, Scene, "scene", "mc.Scene([...])")
+    strategy = Strategy(bounces, directions, lights, clamp)
+    return _integrand(_Receiver(strategy), scene, (as_vec3("point", point), _unit("normal", normal)), (), extra=1)
+
+
+def render(
+    scene: Scene, camera: Camera, *, spp, bounces=5, directions="cosine", lights="mis", clamp=None,
+    key=0, sampler=Independent(), tallies=None, progress=None, workers=None, chunk=None,
+) -> Estimate:  # fmt: skip
+    """Render an image: one integral for each pixel, ``spp`` samples each.
+
+    Sample s of pixel p (row by row from the top left) has index ``s * width * height + p``; ``replay`` shows its path.
+    Path options as in ``path_integrand``, the rest as in ``integrate``.
+
+    Returns:
+        An ``Estimate`` whose mean, variance and stderr have shape ``(height, width, 3)``: radiance, linear, not clipped.
+        ``Moments`` among ``tallies`` come back in that shape too.
+    """
+    integrand = path_integrand(scene, camera, bounces=bounces, directions=directions, lights=lights, clamp=clamp)
+    estimate = integrate_each(
+        integrand, camera.width * camera.height, n=positive("spp", spp), key=key, sampler=sampler,
+        tallies=tallies, progress=progress, workers=workers, chunk=chunk,
+    )  # fmt: skip
+    further = {
+        name: [_as_image(m, camera) for m in result] if isinstance((tallies or {})[name], Moments) else result
+        for name, result in estimate.tallies.items()
+    }
+    moments = [_as_image(m, camera) for m in estimate.moments]
+    return dataclasses.replace(estimate, moments=moments, tallies=further)
+
+
+class Intersection(NamedTuple):
+    """Closest hits: ``primitive`` (n,) is -1 and ``distance`` (n,) infinite for a miss; ``point`` and ``normal`` are
+    (n, 3), the normal on the side of the ray's origin."""
+
+    distance: jax.Array
+    primitive: jax.Array
+    point: jax.Array
+    normal: jax.Array
+
+
+@jax.jit
+def intersect(scene: Scene, origins, directions) -> Intersection:
+    """Return the closest hits of rays: ``origins`` and ``directions`` of shape (n, 3), directions of any length."""
+    if np.shape(origins) != np.shape(directions) or np.shape(origins)[1:] != (3,):
+        raise ValueError(f"rays must be two arrays of shape (n, 3), got {np.shape(origins)} and {np.shape(directions)}")
+
+    def one(origin, direction):
+        ray = shapes.ray(Vec3(*origin), normalize(Vec3(*direction)))
+        hit = closest_hit(scene, ray)
+        surface = surface_at(scene, ray, hit)
+        return Intersection(hit.distance, hit.primitive, jnp.stack(surface.point), jnp.stack(surface.normal))
+
+    return jax.vmap(one)(jnp.asarray(origins, float), jnp.asarray(directions, float))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Film:
+    """Radiance through a film position: of the whole image, or of one pixel where its number is given."""
+
+    strategy: Strategy
+
+    def start(self, u, camera, pixel=None):
+        if pixel is None:
+            return camera.ray(u[0] * camera.width, u[1] * camera.height)
+        column, row = pixel % camera.width, pixel // camera.width
+        return camera.ray(column.astype(float) + u[0], row.astype(float) + u[1])
+
+    def __call__(self, u, scene, camera, pixel=None):
+        return finish(self.strategy, trace(scene, self.strategy, u, 2, self.start(u, camera, pixel))[0])
+
+
+@dataclasses.dataclass(frozen=True)
+class _Ray:
+    """Radiance along one ray."""
+
+    strategy: Strategy
+
+    def __call__(self, u, scene, origin, direction):
+        return finish(self.strategy, trace(scene, self.strategy, u, 0, shapes.ray(origin, direction))[0])
+
+
+@dataclasses.dataclass(frozen=True)
+class _Receiver:
+    """Irradiance: pi times what a white diffuse surface would reflect."""
+
+    strategy: Strategy
+
+    def __call__(self, u, scene, point, normal):
+        one = jnp.ones(()) if scene.channels == 1 else Vec3(*[jnp.ones(())] * 3)
+        # The receiver is no primitive of the scene: it has a number that no primitive has.
+        surface = Surface(point, normal, one, scene.size)
+        nowhere = PathState(shapes.ray(point, normal), Hit(jnp.inf, -1), one, black(scene), jnp.zeros((), bool))
+        everything = tuple(range(scene.size))
+        state = scatter(scene, self.strategy, u, 0, surface, nowhere, everything)
+        first = len(self.strategy.coordinates(scene))
+        radiance, _ = follow(scene, self.strategy, u, first, state, self.strategy.bounces)
+        return finish(self.strategy, jax.tree.map(lambda x: x * np.pi, radiance))
+
+
+def _integrand(fn, scene, params, labels, extra=0):
+    strategy = fn.strategy
+    for event in range(strategy.bounces + extra):
+        labels += tuple(f"event {event + 1}, {word}" for word in strategy.coordinates(scene))
+    labels = labels or ("unused",)
+    return Integrand(fn, len(labels), (scene, *params), lazy=True, labels=labels)
+
+
+def _check(value, kind, name, cure):
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} must be a {kind.__name__}, made by {cure}, got {value!r}")
+
+
+def _unit(name, value):
+    v = as_vec3(name, value)
+    if is_concrete(v) and not sum(c * c for c in v) > 0.0:
+        raise ValueError(f"{name} must not be zero, got {value!r}")
+    length = (v.x * v.x + v.y * v.y + v.z * v.z) ** 0.5
+    return v / length
+
+
+def _as_image(m: MomentsResult, camera) -> MomentsResult:
+    def image(x):
+        x = x.reshape(camera.height, camera.width, -1)
+        return np.broadcast_to(x, (*x.shape[:2], 3))
+
+    return MomentsResult(image(m.n), image(m.mean), [image(c) for c in m.central], m.nonfinite)

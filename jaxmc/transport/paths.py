@@ -1,0 +1,268 @@
+"""Path integrands: light transport as one flat integral over the unit hypercube.
+
+A path takes two coordinates for the film position (only where there is a camera), then for each scattering event two
+for the direction and, with light sampling, two for the point on the light and one to pick the light where there are
+several. ``Integrand.labels`` names them all.
+"""
+
+import dataclasses
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from . import shapes
+from .materials import luminance, pdf_diffuse, power_heuristic, reflect, sample_diffuse
+from .primitives import is_concrete
+from .scene import Scene
+from .shapes import LightSample, QuadLight, Ray
+from .vec import Vec3, dot, where
+
+
+@dataclasses.dataclass(frozen=True)
+class Strategy:
+    """How paths are sampled: the static options of every path integrand."""
+
+    bounces: int
+    directions: str = "cosine"
+    lights: str = "mis"
+    clamp: float | None = None
+
+    def __post_init__(self):
+        if isinstance(self.bounces, bool) or not isinstance(self.bounces, int | np.integer) or self.bounces < 0:
+            raise ValueError(f"bounces must be an integer >= 0, got {self.bounces!r}; 0 is emission seen directly")
+        for name, known in (("directions", ("cosine", "uniform")), ("lights", ("mis", "nee", "none"))):
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
+        if self.clamp is not None and not (is_concrete(self.clamp) and 0.0 < self.clamp < np.inf):
+            raise ValueError(f"clamp must be a positive luminance or None, got {self.clamp!r}")
+
+    def without_bounces(self) -> "Strategy":
+        """Return the strategy of paths that see emission directly only."""
+        return dataclasses.replace(self, bounces=0)
+
+    def coordinates(self, scene: Scene) -> tuple[str, ...]:
+        """Return what the coordinates of one scattering event decide."""
+        if self.lights == "none" or not scene.lights:
+            return ("direction: polar", "direction: azimuth")
+        pick = ("which light",) if len(scene.lights) > 1 else ()
+        return ("direction: polar", "direction: azimuth", "light: first", "light: second", *pick)
+
+
+class Hit(NamedTuple):
+    """Where a ray ends: ``primitive`` is -1 and ``distance`` infinite where it leaves the scene."""
+
+    distance: Any
+    primitive: Any
+
+
+class Surface(NamedTuple):
+    """A point to scatter at; the unit normal is on the side that the path came from."""
+
+    point: Vec3
+    normal: Vec3
+    reflectance: Any
+    primitive: Any
+
+
+class PathState(NamedTuple):
+    """A path after some scattering events: its last ray and what it met, throughput and radiance collected.
+
+    ``specular`` says that the last event was a mirror; None in scenes without mirrors.
+    """
+
+    ray: Ray
+    hit: Hit
+    beta: Any
+    radiance: Any
+    specular: Any
+
+
+def closest_hit(scene: Scene, ray: Ray, own=-1) -> Hit:
+    """Return the closest hit of one ray that starts on primitive ``own`` (-1: on none)."""
+    distances = [_distance(scene, i, ray, own) for i in range(scene.size)]
+    if not distances:
+        return Hit(jnp.inf, -1)
+    # Keep all distances, then compare: two wide kernels instead of a chain of masks.
+    nearest = distances[0]
+    for distance in distances[1:]:
+        nearest = jnp.minimum(nearest, distance)
+    primitive = 0
+    for i, distance in enumerate(distances[1:], 1):
+        primitive = jnp.where(distance == nearest, i, primitive)
+    return Hit(nearest, jnp.where(nearest < jnp.inf, primitive, -1))
+
+
+def _distance(scene, i, ray, own):
+    if scene.shapes[i] == "quad":
+        return shapes.intersect_quad(scene.quads[i], ray, own == i)
+    return shapes.intersect_sphere(scene.spheres[i], ray, own == i)
+
+
+def unoccluded(scene: Scene, ray: Ray, length, own, target, casters):
+    """Return whether no caster but ``own`` and ``target`` cuts the first ``length`` of the ray."""
+    free = True
+    for i in casters:
+        if scene.lights == (i,):
+            continue  # the only light is always the target
+        if scene.shapes[i] == "quad":
+            blocked = shapes.intersect_quad(scene.quads[i], ray, own == i) < length
+        else:
+            blocked = shapes.sphere_blocks(scene.spheres[i], ray, length, own == i)
+        free = free & ~(blocked & (target != i)) if i in scene.lights else free & ~blocked
+    return free
+
+
+def surface_at(scene: Scene, ray: Ray, hit: Hit) -> Surface:
+    """Return the surface that a ray has hit."""
+    i = hit.primitive
+    point = ray.origin + ray.direction * jnp.where(i >= 0, hit.distance, 0.0)
+    at = partial(jax.tree.map, lambda table: table.at(i), is_leaf=lambda x: hasattr(x, "group"))
+    offset = point - at(scene.anchor)
+    normal = at(scene.normal)
+    if scene.inverse_radius is not None:
+        # One Newton step for 1 / |offset| from 1 / radius; inverse_radius is 0 on quads and negative where the
+        # normal points inward.
+        inverse = at(scene.inverse_radius)
+        normal = normal + offset * (inverse * (1.5 - 0.5 * dot(offset, offset) * inverse * inverse))
+    # Draw the hit into its quad by the rounding error, along the quad, so that it lies within neighbouring walls.
+    point = point - offset * at(scene.inset)
+    return Surface(point, where(dot(normal, ray.direction) > 0.0, -normal, normal), at(scene.reflectance), i)
+
+
+def emission_toward(scene: Scene, ray: Ray, hit: Hit, pdf):
+    """Return the emission that a ray meets, each light weighted by the power heuristic against sampling that light.
+
+    ``pdf`` is the density of the ray's direction; None where lights are not sampled, and the weight is 1.
+    """
+    total = black(scene)
+    for i, (light, radiance) in zip(scene.lights, scene.emitters, strict=True):
+        inverse = _inverse_pdf(light, ray, hit.distance)
+        shines = (hit.primitive == i) & (inverse > 0.0)
+        if pdf is not None:
+            # The density of picking this light and the point the ray has met, against the density of the ray.
+            weight = power_heuristic(1.0 / pdf, 1.0 / (inverse * len(scene.lights)))
+            total = total + where(shines, radiance * weight, black(scene))
+        else:
+            total = total + where(shines, radiance, black(scene))
+    return total
+
+
+def _inverse_pdf(light, ray, distance):
+    inverse = shapes.inverse_pdf_quad_light if isinstance(light, QuadLight) else shapes.inverse_pdf_sphere_light
+    return inverse(light, ray.origin, ray.direction, distance)
+
+
+def sample_light(scene: Scene, point, u1, u2, pick) -> tuple[LightSample, Any, Any]:
+    """Return a sample of one light, its radiance, and its primitive; ``pick`` is the coordinate that picks it."""
+    count = len(scene.lights)
+    chosen = 0 if count == 1 else jnp.minimum((pick * count).astype(jnp.int32), count - 1)
+    result = None
+    for k, (i, (light, radiance)) in enumerate(zip(scene.lights, scene.emitters, strict=True)):
+        sample = shapes.sample_quad_light if isinstance(light, QuadLight) else shapes.sample_sphere_light
+        one = (sample(light, point, u1, u2), radiance, i)
+        result = one if result is None else jax.tree.map(lambda a, b, k=k: jnp.where(chosen == k, a, b), one, result)
+    drawn, radiance, primitive = result
+    return drawn._replace(inverse_pdf=drawn.inverse_pdf * count), radiance, primitive
+
+
+def black(scene):
+    return jnp.zeros(()) if scene.channels == 1 else Vec3(*[jnp.zeros(())] * 3)
+
+
+def _direct_light(scene, strategy, surface, u, first, casters):
+    """Return radiance times BRDF over density of one sampled light, albedo left out."""
+    pick = u[first + 4] if len(scene.lights) > 1 else None
+    light, radiance, target = sample_light(scene, surface.point, u[first + 2], u[first + 3], pick)
+    cosine = dot(surface.normal, light.wi)
+    toward = shapes.ray(surface.point, light.wi)
+    visible = (cosine > 0.0) & (light.inverse_pdf > 0.0) & (surface.primitive >= 0)
+    visible = visible & unoccluded(scene, toward, light.distance, surface.primitive, target, casters)
+    weight = cosine * light.inverse_pdf * (1.0 / np.pi)
+    if strategy.lights == "mis":
+        weight = weight * power_heuristic(light.inverse_pdf, pdf_diffuse(strategy.directions, cosine))
+    return where(visible, radiance * weight, black(scene))
+
+
+def scatter(scene, strategy, u, first, surface: Surface, path: PathState, casters) -> PathState:
+    """Scatter a path at a surface: sample a light, then a direction, and follow it. A path that ended stays so."""
+    alive = surface.primitive >= 0
+    beta = path.beta * surface.reflectance
+    sampled = strategy.lights != "none" and bool(scene.lights)
+    mirror = jnp.zeros((), bool)
+    for i in scene.mirrors:
+        mirror = mirror | (surface.primitive == i)
+    radiance = path.radiance
+    if sampled:
+        direct = _direct_light(scene, strategy, surface, u, first, casters)
+        direct = where(mirror, black(scene), direct) if scene.mirrors else direct
+        radiance = radiance + beta * direct
+    wi, pdf, weight = sample_diffuse(strategy.directions, surface.normal, u[first], u[first + 1])
+    if scene.mirrors:
+        wi = where(mirror, reflect(path.ray.direction, surface.normal), wi)
+        weight = jnp.where(mirror, 1.0, weight)
+    if not isinstance(weight, float):
+        beta = beta * weight
+    ray = shapes.ray(surface.point, wi)
+    hit = closest_hit(scene, ray, surface.primitive)
+    if scene.sky is not None:
+        radiance = radiance + where(alive & (hit.primitive < 0), beta * scene.sky, black(scene))
+    hit = hit._replace(primitive=jnp.where(alive, hit.primitive, -1))
+    if scene.lights and not (strategy.lights == "nee" and not scene.mirrors):
+        met = _emission_by_strategy(scene, strategy, ray, hit, pdf, mirror)
+        radiance = radiance + beta * met
+    return PathState(ray, hit, beta, radiance, mirror if scene.mirrors else None)
+
+
+def _emission_by_strategy(scene, strategy, ray, hit, pdf, mirror):
+    """Return emission met after scattering: in full, weighted, or only after a mirror, which no light sample serves."""
+    if strategy.lights == "none":
+        return emission_toward(scene, ray, hit, None)
+    weighted = emission_toward(scene, ray, hit, pdf) if strategy.lights == "mis" else black(scene)
+    return where(mirror, emission_toward(scene, ray, hit, None), weighted) if scene.mirrors else weighted
+
+
+def trace(scene: Scene, strategy: Strategy, u, first: int, start: Ray, observe=None):
+    """Return the radiance that arrives along a ray, and what ``observe(surface, state)`` saw at each scattering event.
+
+    Coordinates from ``first`` on feed the scattering events.
+    """
+    hit = closest_hit(scene, start)
+    one = jnp.ones(()) if scene.channels == 1 else Vec3(*[jnp.ones(())] * 3)
+    radiance = emission_toward(scene, start, hit, None) if scene.lights else black(scene)
+    if scene.sky is not None:
+        radiance = radiance + where(hit.primitive < 0, scene.sky, black(scene))
+    state = PathState(start, hit, one, radiance, jnp.zeros((), bool) if scene.mirrors else None)
+    return follow(scene, strategy, u, first, state, strategy.bounces, observe)
+
+
+def follow(scene, strategy, u, first, state: PathState, bounces, observe=None):
+    """Scatter a path ``bounces`` times."""
+    state = jax.tree.map(lambda x: jnp.asarray(x, float if jnp.result_type(x).kind == "f" else None), state)
+    stride = len(strategy.coordinates(scene))
+
+    def event(state, k):
+        surface = surface_at(scene, state.ray, state.hit)
+        after = scatter(scene, strategy, u, first + stride * k, surface, state, scene.casters)
+        return after, (observe(surface, after) if observe else None)
+
+    if bounces == 0:
+        return state.radiance, None
+    state, seen = lax.scan(event, state, jnp.arange(bounces))
+    return state.radiance, seen
+
+
+def finish(strategy: Strategy, radiance):
+    """Return the value of a path: a number or RGB of shape (3,), scaled down to luminance ``clamp`` where asked."""
+    value = jnp.stack(radiance) if isinstance(radiance, Vec3) else radiance
+    return value if strategy.clamp is None else clamp_luminance(value, strategy.clamp)
+
+
+def clamp_luminance(value, threshold):
+    """Scale values down to luminance ``threshold`` where they exceed it; channels, if any, on the last axis."""
+    y = luminance(value)
+    scale = jnp.where(y > threshold, threshold / y, 1.0)
+    return value * (scale if jnp.shape(value) == jnp.shape(y) else scale[..., None])

@@ -1,0 +1,225 @@
+"""Scenes: primitives as tables of numbers, and the static facts that decide what a kernel contains.
+
+What is known when a scene is built is decided then: which shapes, materials and lights there are, one colour channel or
+three, which components of a plane are zero, which primitives share a value, and which can cast a shadow at all. So what
+a scene lacks costs nothing. Values are leaves of a pytree: the same facts with other values run the same kernel.
+
+While JAX traces (a scene built inside a function under ``jax.grad``) values are unknown, and the kernel assumes nothing.
+"""
+
+import dataclasses
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .materials import Mirror
+from .primitives import Quad, Sphere, as_color, as_vec3, is_concrete, reflectance_of
+from .shapes import QuadLight, QuadShape, SphereLight, SphereShape
+from .vec import Vec3, cross, dot
+
+SELECT_LIMIT = 24  # look a value up by comparing below this many primitives, by gathering above
+
+
+@partial(jax.tree_util.register_dataclass, data_fields=["values"], meta_fields=["group"])
+@dataclasses.dataclass(frozen=True)
+class Lookup:
+    """A value for each primitive; primitive i has ``values[group[i]]``, so equal values are looked up once."""
+
+    values: tuple
+    group: tuple[int, ...]
+
+    def at(self, index):
+        """Return the value of primitive ``index``; any value where there is no such primitive."""
+        if len(self.values) == 1:
+            return self.values[0]
+        if len(self.group) > SELECT_LIMIT:
+            table = jnp.stack([jnp.asarray(v) for v in self.values])
+            return table[jnp.asarray(self.group)].at[index].get(mode="clip")
+        # Start from the commonest value.
+        common = max(set(self.group), key=self.group.count)
+        value = self.values[common]
+        for i, g in enumerate(self.group):
+            if g != common:
+                value = jnp.where(index == i, self.values[g], value)
+        return value
+
+
+def lookup(values) -> Lookup:
+    """Return the table of one number for each primitive."""
+    if not is_concrete(list(values)):
+        return Lookup(tuple(values), tuple(range(len(values))))
+    distinct = list(dict.fromkeys(values))
+    return Lookup(tuple(distinct), tuple(distinct.index(v) for v in values))
+
+
+@jax.tree_util.register_pytree_node_class
+class Scene:
+    """Primitives and a sky.
+
+    Args:
+        primitives: ``Sphere`` and ``Quad`` objects. Those with an emission above 0 are lights.
+        sky: radiance that arrives from outside, the same from everywhere: a number, an RGB triple or None for black.
+
+    Attributes:
+        channels: 1 where every colour is grey, else 3.
+        lights: numbers of the primitives that shine.
+        mirrors: numbers of the primitives that are mirrors.
+        casters: numbers of the primitives that can cast a shadow between two points of the scene. A quad with the
+            whole scene on one side of its plane cannot. Facts hold for the values the scene was built with: to move
+            things, build a new scene.
+
+    Raises:
+        ValueError: something else in the list, or a sky that is no radiance.
+    """
+
+    _data = ("quads", "spheres", "normal", "anchor", "inverse_radius", "inset", "reflectance", "emitters", "sky")
+    _static = ("channels", "shapes", "lights", "mirrors", "casters")
+
+    def __init__(self, primitives, sky=None):
+        primitives = list(primitives)
+        for p in primitives:
+            if not isinstance(p, Sphere | Quad):
+                raise ValueError(f"a scene is made of mc.Sphere and mc.Quad objects, got {p!r}")
+        number = partial(jax.tree.map, _number)
+        colors = [as_color("reflectance", reflectance_of(p.material)[1]) for p in primitives]
+        radiances = [as_color("emission", 0.0 if p.emission is None else p.emission) for p in primitives]
+        sky = None if sky is None else as_color("sky", sky)
+        everything = [*colors, *radiances, *([sky] if sky else [])]
+        self.channels = 1 if all(is_concrete(c) and c[0] == c[1] == c[2] for c in everything) else 3
+        self.shapes = tuple("quad" if isinstance(p, Quad) else "sphere" for p in primitives)
+        self.lights = tuple(i for i, c in enumerate(radiances) if not (is_concrete(c) and max(c) == 0.0))
+        self.mirrors = tuple(i for i, p in enumerate(primitives) if isinstance(p.material, Mirror))
+        frames = [_quad_frame(p) if isinstance(p, Quad) else None for p in primitives]
+        self.casters = _casters(primitives, frames)
+
+        extent = _extent(primitives)
+        rounding = [_rounding(f, extent) if f else 0.0 for f in frames]
+        shape = [_quad_shape(f, r) if f else _sphere_shape(p) for p, f, r in zip(primitives, frames, rounding)]
+        self.quads = tuple(number(s) if isinstance(s, QuadShape) else None for s in shape)
+        self.spheres = tuple(number(s) if isinstance(s, SphereShape) else None for s in shape)
+        flat = [f.normal if f else Vec3(0.0, 0.0, 0.0) for f in frames]
+        center = [f.center if f else s.center for f, s in zip(frames, shape)]
+        self.normal = number(_lookups(flat))
+        self.anchor = number(_lookups(center))
+        has_sphere = "sphere" in self.shapes
+        self.inverse_radius = number(lookup([0.0 if f else _sign(p) / p.radius for p, f in zip(primitives, frames)])) if has_sphere else None  # fmt: skip
+        self.inset = number(lookup([2.0 * r for r in rounding]))
+        self.reflectance = number(_lookups([self._color(c) for c in colors]))
+        lights = [frames[i] or SphereLight(*_sphere_shape(primitives[i]), _sign(primitives[i])) for i in self.lights]
+        self.emitters = number([(light, self._color(radiances[i])) for i, light in zip(self.lights, lights)])
+        self.sky = number(self._color(sky)) if sky and not (is_concrete(sky) and max(sky) == 0.0) else None
+
+    def _color(self, rgb):
+        return rgb[0] if self.channels == 1 else Vec3(*rgb)
+
+    @property
+    def size(self) -> int:
+        """Number of primitives."""
+        return len(self.shapes)
+
+    def tree_flatten(self):
+        return [getattr(self, k) for k in self._data], tuple(getattr(self, k) for k in self._static)
+
+    @classmethod
+    def tree_unflatten(cls, static, data):
+        scene = object.__new__(cls)
+        scene.__dict__.update(zip(cls._data, data), **dict(zip(cls._static, static)))
+        return scene
+
+    def __repr__(self):
+        count = {kind: self.shapes.count(kind) for kind in ("quad", "sphere")}
+        return f"Scene({count}, lights={self.lights}, mirrors={self.mirrors}, channels={self.channels})"
+
+
+def _number(x):
+    return jnp.asarray(x, float) if not is_concrete(x) else np.asarray(x, jnp.result_type(float))
+
+
+def _lookups(vectors):
+    if not isinstance(vectors[0] if vectors else 0.0, Vec3):
+        return lookup(vectors or [0.0])
+    return Vec3(*(lookup([v[k] for v in vectors]) for k in range(3)))
+
+
+def _sign(sphere):
+    return -1.0 if sphere.inward else 1.0
+
+
+def _quad_frame(quad: Quad) -> QuadLight:
+    corner = as_vec3("corner", quad.corner)
+    half_u, half_v = as_vec3("edge_u", quad.edge_u) * 0.5, as_vec3("edge_v", quad.edge_v) * 0.5
+    n = cross(half_u, half_v)
+    length = dot(n, n) ** 0.5
+    return QuadLight(corner + half_u + half_v, half_u, half_v, n / length, 4.0 * length)
+
+
+def _quad_shape(frame: QuadLight, rounding) -> QuadShape:
+    n = frame.normal
+    row_u, row_v = cross(frame.half_v, n), cross(n, frame.half_u)
+    row_u, row_v = row_u / dot(row_u, frame.half_u), row_v / dot(row_v, frame.half_v)
+    normal, offset = _without_zeros(n), dot(n, frame.center)
+    present = [k for k in range(3) if normal[k] is not None]
+    axis = present[0] if len(present) == 1 else None
+    if axis is not None:
+        normal, offset = None, frame.center[axis]
+    rows = [(_without_zeros(r), _none_if_zero(dot(r, frame.center))) for r in (row_u, row_v)]
+    return QuadShape(normal, offset, *rows[0], *rows[1], 1.0 + rounding, axis)
+
+
+def _none_if_zero(x):
+    return None if is_concrete(x) and x == 0.0 else x
+
+
+def _without_zeros(v):
+    return Vec3(*map(_none_if_zero, v))
+
+
+def _sphere_shape(sphere: Sphere) -> SphereShape:
+    return SphereShape(as_vec3("center", sphere.center), sphere.radius)
+
+
+def _extent(primitives):
+    """Return the largest coordinate of the scene, by size."""
+    largest = [1e-30]
+    for p in primitives:
+        if not is_concrete((getattr(p, "corner", 0.0), getattr(p, "edge_u", 0.0), getattr(p, "edge_v", 0.0))):
+            continue
+        if isinstance(p, Quad):
+            largest.append(float(np.abs(_corners(p)).max()))
+        elif is_concrete((p.center, p.radius)):
+            largest.append(float(np.abs(np.asarray(p.center, float)).max() + p.radius))
+    return max(largest)
+
+
+def _rounding(frame, extent):
+    """Return the rounding error of a hit in a quad's own coordinates, which run from -1 to 1."""
+    shorter = jnp.minimum if not is_concrete(frame) else min
+    half = shorter(dot(frame.half_u, frame.half_u) ** 0.5, dot(frame.half_v, frame.half_v) ** 0.5)
+    return 4.0 * float(jnp.finfo(float).eps) * (1.0 + extent / half)
+
+
+def _corners(quad):
+    corner, u, v = (np.asarray(x, np.float64) for x in (quad.corner, quad.edge_u, quad.edge_v))
+    return np.stack([corner, corner + u, corner + v, corner + u + v])
+
+
+def _casters(primitives, frames):
+    """Return the primitives that can lie between two points of the scene."""
+    geometry = [(p.corner, p.edge_u, p.edge_v) if isinstance(p, Quad) else (p.center, p.radius) for p in primitives]
+    if not is_concrete(geometry):
+        return tuple(range(len(primitives)))
+    points = [_corners(p) if isinstance(p, Quad) else np.asarray(p.center, float)[None] for p in primitives]
+    radii = np.concatenate([[0.0] * 4 if isinstance(p, Quad) else [p.radius] for p in primitives] or [[]])
+    points = np.concatenate(points or [np.zeros((0, 3))])
+    slack = 1e-6 * np.abs(points).max(initial=0.0)
+    casters = []
+    for i, frame in enumerate(frames):
+        if frame is not None:
+            height = (points - np.array(frame.center)) @ np.array(frame.normal)
+            if (height - radii >= -slack).all() or (height + radii <= slack).all():
+                continue
+        casters.append(i)
+    return tuple(casters)

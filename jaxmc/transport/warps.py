@@ -1,0 +1,69 @@
+"""Changes of variables from the unit square to directions, with their densities.
+
+Every ``sample_x`` maps uniform coordinates to a value, every ``pdf_x`` is its density; the docstring names the measure.
+Directions are in the local frame whose z axis is the surface normal.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from .vec import Vec3
+
+
+def _coefficients(function, terms):
+    """Return ascending coefficients in x^2 of an even function on |x| <= 1/4, near the best of that degree."""
+    fit = np.polynomial.Chebyshev.interpolate(lambda x2: function(np.sqrt(x2)), terms - 1, domain=[0.0, 0.0625])
+    return fit.convert(kind=np.polynomial.Polynomial, domain=[-1, 1], window=[-1, 1]).coef
+
+
+# sin(2 pi x) / x and cos(2 pi x): the interpolation error is below 2e-9 with 6 terms and 1e-17 with 11.
+_TERMS = {np.dtype(np.float32): 6, np.dtype(np.float64): 11}
+_SINE = {kind: _coefficients(lambda x: 2.0 * np.pi * np.sinc(2.0 * x), terms) for kind, terms in _TERMS.items()}
+_COSINE = {kind: _coefficients(lambda x: np.cos(2.0 * np.pi * x), terms) for kind, terms in _TERMS.items()}
+
+
+def sincos_2pi(u):
+    """Return (sin, cos) of ``2 pi u`` for u in [0, 1].
+
+    Folds the angle into a quarter turn and evaluates two short polynomials: error below 3e-7 in float32, where the
+    rounding of u alone makes 2e-7; several times faster than XLA's ``sin`` and ``cos`` on a CPU.
+    """
+    x = u - 0.5
+    size = jnp.abs(x)
+    fold = size > 0.25
+    x = jnp.where(x < 0.0, 1.0, -1.0) * jnp.where(fold, 0.5 - size, size)
+    x2 = x * x
+    kind = np.dtype(jnp.result_type(x))
+    cosine = _horner(_COSINE[kind], x2)
+    return _horner(_SINE[kind], x2) * x, jnp.where(fold, cosine, -cosine)
+
+
+def _horner(coefficients, x):
+    value = coefficients[-1]
+    for c in coefficients[-2::-1]:
+        value = value * x + float(c)
+    return value
+
+
+def sample_cosine_hemisphere(u1, u2):
+    """Map (u1, u2) to a unit direction with density cos(theta) / pi per solid angle (Malley's method)."""
+    radius = jnp.sqrt(u1)
+    sine, cosine = sincos_2pi(u2)
+    return Vec3(radius * cosine, radius * sine, jnp.sqrt(1.0 - u1))
+
+
+def pdf_cosine_hemisphere(cos_theta):
+    """Density of ``sample_cosine_hemisphere`` per solid angle."""
+    return cos_theta * (1.0 / np.pi)
+
+
+def sample_uniform_hemisphere(u1, u2):
+    """Map (u1, u2) to a unit direction with density 1 / (2 pi) per solid angle; cos(theta) = u1 exactly."""
+    radius = jnp.sqrt((1.0 - u1) * (1.0 + u1))
+    sine, cosine = sincos_2pi(u2)
+    return Vec3(radius * cosine, radius * sine, u1)
+
+
+def pdf_uniform_hemisphere():
+    """Density of ``sample_uniform_hemisphere`` per solid angle."""
+    return 1.0 / (2.0 * np.pi)
