@@ -25,6 +25,7 @@ from .transport.debug import replay as replay  # noqa: E402
 from .transport.integrands import intersect as intersect  # noqa: E402
 from .transport.integrands import irradiance as irradiance  # noqa: E402
 from .transport.integrands import path_integrand as path_integrand  # noqa: E402
+from .transport.integrands import path_throughput as path_throughput  # noqa: E402
 from .transport.integrands import radiance as radiance  # noqa: E402
 from .transport.integrands import render as render  # noqa: E402
 from .transport.materials import Diffuse as Diffuse  # noqa: E402

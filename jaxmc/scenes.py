@@ -37,7 +37,7 @@ def cornell_box(width=256, height=256) -> tuple[Scene, Camera]:
     return Scene([*walls, _lamp((0, 0.99, 0), 0.25, 15.0), *spheres]), camera
 
 
-def mirror_box(mirror=True, width=192, height=128) -> tuple[Scene, Camera]:
+def mirror_box(mirror=True, width=240, height=160) -> tuple[Scene, Camera]:
     """Return a box with a green sphere and a second sphere, a mirror or white, lit by one small, strong light.
 
     The light, of emission 500, lies at the ceiling above the picture's upper edge, so that the camera does not see it
@@ -51,13 +51,17 @@ def mirror_box(mirror=True, width=192, height=128) -> tuple[Scene, Camera]:
         Sphere((0.65, -0.55, 0.0), 0.45, Mirror(0.95) if mirror else white),
     ]
     camera = PinholeCamera((0, -0.1, 2.9), (0, -0.25, 0), fov=42, width=width, height=height)
-    return Scene([*walls, _lamp((0.0, 0.995, 0.4), 0.04, 500.0), *spheres]), camera
+    return Scene([*walls, _lamp((0.0, 0.995, 0.4), 0.06, 500.0), *spheres]), camera
 
 
-def sparkle_box(albedo=0.8, width=128, height=128) -> tuple[Scene, Camera]:
-    """Return a closed diffuse box with a lamp 0.001 below its ceiling: paths that enter the gap bounce there for long."""
+def sparkle_box(albedo=0.95, closed=False, width=128, height=128) -> tuple[Scene, Camera]:
+    """Return a white box with a lamp 0.001 below its ceiling: a path that enters the gap bounces there for long.
+
+    The front is open, and the camera looks in from outside. ``closed`` adds the front wall and puts the camera inside:
+    then no path escapes, and the throughput after k uniformly drawn directions is a product of k independent factors.
+    """
     white = Diffuse(albedo)
-    walls = _room((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5), Diffuse(RED), Diffuse(GREEN), white)
-    lamp = _lamp((0.0, 0.499, 0.0), 0.25, 4.0, albedo)
-    camera = PinholeCamera((0, 0, 1.9), (0, 0, 0), fov=40, width=width, height=height)
-    return Scene([*walls, lamp]), camera
+    walls = _room((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5), white, white, white, front=closed)
+    origin = (0, 0, 0.45) if closed else (0, 0, 1.9)
+    camera = PinholeCamera(origin, (0, 0, 0), fov=80 if closed else 40, width=width, height=height)
+    return Scene([*walls, _lamp((0.0, 0.499, 0.0), 0.25, 4.0, albedo)]), camera

@@ -18,7 +18,8 @@ from .vec import Vec3
 
 class Vertex(NamedTuple):
     """One scattering event. ``throughput`` and ``gained`` are luminances: of the path before the event, and of the
-    radiance that the event added, by a sampled light or by what the next ray met."""
+    radiance that the event added, by a sampled light or by what the next ray ``met``: "light", "sky", "surface" or
+    "nothing"."""
 
     kind: str
     primitive: int
@@ -26,6 +27,7 @@ class Vertex(NamedTuple):
     normal: np.ndarray
     throughput: float
     gained: float
+    met: str
 
 
 class Path(NamedTuple):
@@ -48,8 +50,9 @@ class Path(NamedTuple):
         if gained <= 0.0:
             return " -> ".join([*(v.kind for v in self.vertices), self.end])
         last = int(np.argmax([v.gained for v in self.vertices]))
-        met = last == len(self.vertices) - 1 and self.end in ("light", "sky")
-        return " -> ".join([*(v.kind for v in self.vertices[: last + 1]), self.end if met else "sampled light"])
+        met = self.vertices[last].met
+        source = met if met in ("light", "sky") else "sampled light"
+        return " -> ".join([*(v.kind for v in self.vertices[: last + 1]), source])
 
     def __str__(self):
         value = ", ".join(f"{v:.6g}" for v in np.atleast_1d(self.value))
@@ -110,23 +113,22 @@ def _replay(integrand, seed, words, pixels, sampler):
 
 def _path(scene, camera, index, pixel, seen) -> Path:
     value, direct, events = seen
-    vertices, throughput, collected, end = [], 1.0, float(direct), None
+    vertices, throughput, collected = [], 1.0, float(direct)
     for k in range(0 if events is None else len(events["primitive"])):
         primitive = int(events["primitive"][k])
         if primitive < 0:
             break
         kind = "mirror" if primitive in scene.mirrors else "diffuse"
-        total = float(events["radiance"][k])
-        vertices.append(Vertex(kind, primitive, events["point"][k], events["normal"][k], throughput, total - collected))
+        total, met = float(events["radiance"][k]), _met(scene, int(events["next"][k]))
+        point, normal = events["point"][k], events["normal"][k]
+        vertices.append(Vertex(kind, primitive, point, normal, throughput, total - collected, met))
         throughput, collected = float(events["throughput"][k]), total
-        end = int(events["next"][k])
-    if end is None:
-        end_word = "light" if direct > 0.0 else "nothing"
-    elif end in scene.lights:
-        end_word = "light"
-    elif end < 0:
-        end_word = "sky" if scene.sky is not None else "nothing"
-    else:
-        end_word = "last bounce"
-    pixel = int(pixel)
-    return Path(int(index), (pixel % camera.width, pixel // camera.width), value, vertices, end_word, float(direct))
+    end = vertices[-1].met if vertices else ("light or sky" if direct > 0.0 else "nothing")
+    pixel = (int(pixel) % camera.width, int(pixel) // camera.width)
+    return Path(int(index), pixel, value, vertices, "last bounce" if end == "surface" else end, float(direct))
+
+
+def _met(scene, primitive):
+    if primitive < 0:
+        return "nothing" if scene.sky is None else "sky"
+    return "light" if primitive in scene.lights else "surface"

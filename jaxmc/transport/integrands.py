@@ -14,6 +14,7 @@ from ..integration.moments import Moments, MomentsResult
 from ..integration.samplers import Independent
 from . import shapes
 from .camera import Camera
+from .materials import luminance
 from .paths import Hit, PathState, Strategy, Surface, black, closest_hit, finish, follow, scatter, surface_at, trace
 from .primitives import as_vec3, is_concrete
 from .scene import Scene
@@ -93,6 +94,19 @@ def render(
     return dataclasses.replace(estimate, moments=moments, tallies=further)
 
 
+def path_throughput(scene: Scene, camera: Camera, *, events, directions="cosine") -> Integrand:
+    """Return the luminance of a camera path's throughput after each number of scattering events in ``events``.
+
+    The value has shape ``(len(events),)``; it is 0 where the path has left the scene before. Options and coordinates
+    as in ``path_integrand`` with ``lights="none"``.
+    """
+    if not events or not all(isinstance(k, int) and k > 0 for k in events):
+        raise ValueError(f"events must be positive integers, got {events!r}")
+    _check(scene, Scene, "scene", "mc.Scene([...])")
+    strategy = Strategy(max(events), directions, "none")
+    return _integrand(_Throughput(strategy, tuple(events)), scene, (camera,), ("film: x", "film: y"))
+
+
 class Intersection(NamedTuple):
     """Closest hits: ``primitive`` (n,) is -1 and ``distance`` (n,) infinite for a miss; ``point`` and ``normal`` are
     (n, 3), the normal on the side of the ray's origin."""
@@ -132,6 +146,20 @@ class _Film:
 
     def __call__(self, u, scene, camera, pixel=None):
         return finish(self.strategy, trace(scene, self.strategy, u, 2, self.start(u, camera, pixel))[0])
+
+
+@dataclasses.dataclass(frozen=True)
+class _Throughput(_Film):
+    """Throughput of the paths of a film, after some numbers of events."""
+
+    events: tuple[int, ...]
+
+    def __call__(self, u, scene, camera, pixel=None):
+        def observe(surface, after):
+            return jnp.where(surface.primitive >= 0, luminance(after.beta), 0.0)
+
+        _, throughput = trace(scene, self.strategy, u, 2, self.start(u, camera, pixel), observe)
+        return throughput[jnp.array(self.events) - 1]
 
 
 @dataclasses.dataclass(frozen=True)
