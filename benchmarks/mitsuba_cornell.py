@@ -4,15 +4,16 @@
 
 Reads one JSON object per line from stdin and answers each with one JSON object on stdout:
 
-* a scene ``{"width", "height", "fov", "origin", "target", "up", "bounces", "quads", "spheres"}``, like ``CORNELL``
-  below -> ``{"ready": true, "variant", "mitsuba", "threads"}``;
+* a scene ``{"width", "height", "fov", "origin", "target", "up", "bounces", "quads", "spheres"}``
+  -> ``{"ready": true, "variant", "mitsuba", "threads"}``;
 * a request ``{"spp": 64, "seed": 3}`` -> ``{"seconds", "file"}``, the image as a .npy file of shape (height, width, 3),
   linear radiance. ``seconds`` covers the rendering and the copy to NumPy, and nothing else: the first request for a
   scene and a number of samples renders twice and times the second, because Mitsuba compiles when either changes.
 
-A request that comes before any scene renders ``CORNELL``. A line that fails is answered ``{"error": ...}``. The images
-live until stdin closes. In a description ``fov`` is vertical, in degrees, ``bounces`` counts scattering events, a quad
-is ``corner + s edge_u + t edge_v``, reflects on both sides and emits where ``cross(edge_u, edge_v)`` points.
+A line that fails is answered ``{"error": ...}``. The images live until stdin closes. In a description ``fov`` is
+vertical, in degrees, and ``bounces`` counts scattering events. A quad ``{"corner", "edge_u", "edge_v"}`` reflects on
+both sides and emits where ``cross(edge_u, edge_v)`` points; a sphere has ``{"center", "radius"}``. Both have
+``{"albedo", "mirror", "emission"}``: RGB, true or false, and RGB or null. ``peers.py`` writes descriptions.
 """
 
 import json
@@ -24,36 +25,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-
-WHITE, RED, GREEN, BLACK = (0.73, 0.73, 0.73), (0.65, 0.05, 0.05), (0.12, 0.45, 0.15), (0.0, 0.0, 0.0)
-
-
-def quad(corner, edge_u, edge_v, albedo, emission=None, mirror=False):
-    return dict(corner=corner, edge_u=edge_u, edge_v=edge_v, albedo=albedo, mirror=mirror, emission=emission)
-
-
-def sphere(center, radius, albedo, emission=None, mirror=False):
-    return dict(center=center, radius=radius, albedo=albedo, mirror=mirror, emission=emission)
-
-
-CORNELL = dict(
-    width=256,
-    height=256,
-    fov=40.0,
-    origin=(0.0, 0.0, 3.9),
-    target=(0.0, 0.0, 0.0),
-    up=(0.0, 1.0, 0.0),
-    bounces=5,
-    quads=[
-        quad((-1, -1, 1), (2, 0, 0), (0, 0, -2), WHITE),  # floor
-        quad((-1, 1, -1), (2, 0, 0), (0, 0, 2), WHITE),  # ceiling
-        quad((-1, -1, -1), (2, 0, 0), (0, 2, 0), WHITE),  # back wall
-        quad((-1, -1, 1), (0, 0, -2), (0, 2, 0), RED),  # left wall
-        quad((1, -1, -1), (0, 0, 2), (0, 2, 0), GREEN),  # right wall
-        quad((-0.25, 0.99, -0.25), (0.5, 0, 0), (0, 0, 0.5), BLACK, emission=(15.0, 15.0, 15.0)),
-    ],
-    spheres=[sphere((-0.4, -0.65, -0.3), 0.35, WHITE), sphere((0.4, -0.65, 0.3), 0.35, WHITE)],
-)
 
 
 def find_llvm(oldest=19):
@@ -148,12 +119,13 @@ def serve(variant, requests, reply, folder):
     for count, line in enumerate(filter(str.strip, requests)):
         try:
             message = json.loads(line)
-            if "spp" not in message or scene is None:
-                scene, warm = build(mi, message if "spp" not in message else CORNELL), set()
             if "spp" not in message:
+                scene, warm = build(mi, message), set()
                 about = {"variant": variant, "mitsuba": mi.__version__, "threads": drjit.thread_count()}
                 reply({"ready": True, **about})
                 continue
+            if scene is None:
+                raise ValueError("a scene must come before the first request")
             spp, seed = int(message["spp"]), int(message.get("seed", 0))
             if spp not in warm:
                 timed_render(mi, scene, spp, seed)

@@ -1,0 +1,6 @@
+"""What the samples say: reads tallies, never draws a sample."""
+
+from . import clamping as clamping
+from . import convergence as convergence
+from . import fireflies as fireflies
+from . import tails as tails

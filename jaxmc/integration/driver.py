@@ -71,6 +71,7 @@ def integrate_each(
     has index ``s * items + i``. Moments have a leading axis of length ``items``; tallies that are pooled run over all
     samples of all items. Arguments and errors otherwise as in ``integrate``.
     """
+    f = as_integrand(f)
     n, items = positive("n", n), positive("items", items)
     tiles = min(_tiles(chunk), -(-items // LANES))
     jobs = ((s, i) for s in range(0, n, ROWS) for i in range(0, items, tiles * LANES))
@@ -167,13 +168,8 @@ def _fold(tally, state, record, job, items):
                 tally.add(state, jax.tree.map(lambda x: x[tile], record))  # noqa: B023
 
 
-def _point_value(integrand, sampler, seed, index, item=None):
-    point = sampler.point(seed, index)
-    return integrand.at(point) if item is None else _family_value(integrand, point, item)
-
-
-def _family_value(integrand, point, item):
-    return integrand.fn(point, *integrand.params, item)
+def _point_value(integrand, sampler, seed, index, *item):
+    return integrand.at(sampler.point(seed, index), *item)
 
 
 def _value_shape(integrand, sampler, each):

@@ -47,9 +47,13 @@ class Integrand:
         """Return the value at one point: an array of shape ``(dim,)`` or a lazy point."""
         return self.fn(u, *self.params)
 
-    def at(self, point):
-        """Return the value at a lazy point, as the driver evaluates it."""
-        return self(point if self.lazy else point[jnp.arange(self.dim)])
+    def at(self, point, *item):
+        """Return the value at a lazy point, as the driver evaluates it; ``item`` is the number of one of a family."""
+        return self.fn(point if self.lazy else point[jnp.arange(self.dim)], *self.params, *item)
+
+    def map(self, g: Callable[[Any], Any]) -> "Integrand":
+        """Return the integrand of ``g(value)``. ``g`` is static: pass the same function to run the same kernel."""
+        return dataclasses.replace(self, fn=_Composed(self.fn, g))
 
     def batch(self, u):
         """Return the values at an array of points of shape ``(n, dim)``: leading axis n on every leaf.
@@ -60,6 +64,17 @@ class Integrand:
         if u.ndim != 2 or u.shape[1] != self.dim:
             raise ValueError(f"points must have shape (n, {self.dim}), got {u.shape}")
         return _batch(self, u)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Composed:
+    """g after f."""
+
+    f: Callable[..., Any]
+    g: Callable[[Any], Any]
+
+    def __call__(self, u, *params):
+        return self.g(self.f(u, *params))
 
 
 @jax.jit

@@ -53,6 +53,8 @@ def apply(of, values):
 
 
 def _reduce_moments(x, valid, axes, order):
+    # Count in at least float32: a bool, a small integer or a half cannot hold the number of samples.
+    x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
     valid = valid.reshape(valid.shape + (1,) * (x.ndim - 2))
     total = lambda y: _sum(jnp.where(valid, y, 0.0), axes)
     count = valid.sum(axes).astype(x.dtype)

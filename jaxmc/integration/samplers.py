@@ -33,11 +33,12 @@ def index_words(index) -> np.ndarray:
 
 def seed_words(key) -> np.ndarray:
     """Return four 32-bit words from a seed: an integer in [0, 2^64) or a ``jax.random`` key."""
+    seed = key
     if isinstance(key, jax.Array):
-        data = jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
-        seed = int.from_bytes(np.asarray(data, np.uint32).tobytes()[-8:], "big")
-    else:
-        seed = key
+        data = np.asarray(jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key)
+        # One key has two words or four; other arrays are no keys, and a batch of keys is not one.
+        if data.dtype == np.uint32 and data.shape in ((2,), (4,)):
+            seed = int.from_bytes(data.tobytes()[-8:], "big")
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= int(seed) < 1 << 64:
         raise ValueError(f"key must be an integer in [0, 2^64) or a jax.random key, got {key!r}")
     # Spread the seed over four words, so that neighbouring seeds share nothing (Steele et al. 2014, SplitMix).
@@ -49,8 +50,8 @@ class Independent:
 
     Each index is first mixed with the seed into two 32-bit words; each coordinate then takes one further mix of both
     words and the dimension. A coordinate is a multiple of 2^-32 plus 2^-33, rounded to the floating type and kept
-    below 1: it resolves the interval next to 0 down to 2^-33 and never equals 0 or 1. With ``jax_enable_x64`` it has
-    53 bits, and its leading 32 are the same.
+    below 1: it resolves the interval next to 0 down to 2^-33 and never equals 0 or 1. With ``jax_enable_x64`` it is a
+    multiple of 2^-52 plus 2^-53, exactly, and its leading 32 bits are the same.
     """
 
     def __eq__(self, other):
@@ -80,8 +81,8 @@ class Point:
         bits = self._bits(dimension)
         if jax.config.jax_enable_x64:
             # Take the low bits from a dimension that nobody can name: the top bit is set.
-            low = self._bits(jnp.asarray(dimension).astype(jnp.uint32) | jnp.uint32(1 << 31)) >> 11
-            return (bits.astype(jnp.float64) * 2.0**21 + low.astype(jnp.float64) + 0.5) * 2.0**-53
+            low = self._bits(jnp.asarray(dimension).astype(jnp.uint32) | jnp.uint32(1 << 31)) >> 12
+            return (bits.astype(jnp.float64) * 2.0**20 + low.astype(jnp.float64) + 0.5) * 2.0**-52
         return jnp.minimum(bits.astype(jnp.float32) * 2.0**-32 + 2.0**-33, 1.0 - 2.0**-24)
 
     def _bits(self, dimension):

@@ -1,5 +1,6 @@
 """Replay of single paths: any sample of an image, vertex by vertex, from its index alone."""
 
+import itertools
 from functools import partial
 from typing import NamedTuple
 
@@ -48,11 +49,11 @@ class Path(NamedTuple):
         if self.direct > gained:
             return "light or sky seen directly"
         if gained <= 0.0:
-            return " -> ".join([*(v.kind for v in self.vertices), self.end])
+            return " -> ".join([*_runs(self.vertices), self.end])
         last = int(np.argmax([v.gained for v in self.vertices]))
         met = self.vertices[last].met
         source = met if met in ("light", "sky") else "sampled light"
-        return " -> ".join([*(v.kind for v in self.vertices[: last + 1]), source])
+        return " -> ".join([*_runs(self.vertices[: last + 1]), source])
 
     def __str__(self):
         value = ", ".join(f"{v:.6g}" for v in np.atleast_1d(self.value))
@@ -64,6 +65,15 @@ class Path(NamedTuple):
             for i, v in enumerate(self.vertices, 1)
         ]
         return head + columns + "\n".join([*rows, f"ends at: {self.end}"])
+
+
+def _runs(vertices):
+    """Return the kinds of the vertices, more than three of one kind in a row as ``diffuse x 48``."""
+    words = []
+    for kind, run in itertools.groupby(v.kind for v in vertices):
+        count = len(list(run))
+        words += [kind] * count if count <= 3 else [f"{kind} x {count}"]
+    return words
 
 
 def replay(scene: Scene, camera: Camera, indices, *, key=0, sampler=Independent(), **options) -> list[Path] | Path:

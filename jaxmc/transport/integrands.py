@@ -21,7 +21,9 @@ from .scene import Scene
 from .vec import Vec3, normalize
 
 
-def path_integrand(scene: Scene, camera: Camera, *, bounces, directions="cosine", lights="mis", clamp=None) -> Integrand:
+def path_integrand(
+    scene: Scene, camera: Camera, *, bounces, directions="cosine", lights="mis", clamp=None, hide_emitters=False
+) -> Integrand:
     """Return the mean radiance of a camera's image as one flat integral.
 
     The first two coordinates are the film position (x, y) over the whole image, then come 2 to 5 for each scattering
@@ -37,13 +39,14 @@ def path_integrand(scene: Scene, camera: Camera, *, bounces, directions="cosine"
         lights: "none" waits until a path meets a light, "nee" samples a light at each event, "mis" does both and
             weights them by the power heuristic.
         clamp: scale each sample down to this luminance; biased. None: leave it.
+        hide_emitters: leave out lights that the camera sees by itself or over mirrors alone.
 
     Raises:
         ValueError: an unknown option, or a scene or camera that is none.
     """
     _check(scene, Scene, "scene", "mc.Scene([...])")
     _check(camera, Camera, "camera", "mc.PinholeCamera(...)")
-    strategy = Strategy(bounces, directions, lights, clamp)
+    strategy = Strategy(bounces, directions, lights, clamp, hide_emitters)
     return _integrand(_Film(strategy), scene, (camera,), ("film: x", "film: y"))
 
 
@@ -69,7 +72,7 @@ def irradiance(scene: Scene, point, normal, *, bounces, directions="cosine", lig
 
 
 def render(
-    scene: Scene, camera: Camera, *, spp, bounces=5, directions="cosine", lights="mis", clamp=None,
+    scene: Scene, camera: Camera, *, spp, bounces=5, directions="cosine", lights="mis", clamp=None, hide_emitters=False,
     key=0, sampler=Independent(), tallies=None, progress=None, workers=None, chunk=None,
 ) -> Estimate:  # fmt: skip
     """Render an image: one integral for each pixel, ``spp`` samples each.
@@ -81,7 +84,9 @@ def render(
         An ``Estimate`` whose mean, variance and stderr have shape ``(height, width, 3)``: radiance, linear, not clipped.
         ``Moments`` among ``tallies`` come back in that shape too.
     """
-    integrand = path_integrand(scene, camera, bounces=bounces, directions=directions, lights=lights, clamp=clamp)
+    integrand = path_integrand(
+        scene, camera, bounces=bounces, directions=directions, lights=lights, clamp=clamp, hide_emitters=hide_emitters
+    )
     estimate = integrate_each(
         integrand, camera.width * camera.height, n=positive("spp", spp), key=key, sampler=sampler,
         tallies=tallies, progress=progress, workers=workers, chunk=chunk,
@@ -182,7 +187,7 @@ class _Receiver:
         one = jnp.ones(()) if scene.channels == 1 else Vec3(*[jnp.ones(())] * 3)
         # The receiver is no primitive of the scene: it has a number that no primitive has.
         surface = Surface(point, normal, one, scene.size)
-        nowhere = PathState(shapes.ray(point, normal), Hit(jnp.inf, -1), one, black(scene), jnp.zeros((), bool))
+        nowhere = PathState(shapes.ray(point, normal), Hit(jnp.inf, -1), one, black(scene), None)
         everything = tuple(range(scene.size))
         state = scatter(scene, self.strategy, u, 0, surface, nowhere, everything)
         first = len(self.strategy.coordinates(scene))

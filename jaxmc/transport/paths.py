@@ -30,6 +30,7 @@ class Strategy:
     directions: str = "cosine"
     lights: str = "mis"
     clamp: float | None = None
+    hide_emitters: bool = False
 
     def __post_init__(self):
         if isinstance(self.bounces, bool) or not isinstance(self.bounces, int | np.integer) or self.bounces < 0:
@@ -71,14 +72,14 @@ class Surface(NamedTuple):
 class PathState(NamedTuple):
     """A path after some scattering events: its last ray and what it met, throughput and radiance collected.
 
-    ``specular`` says that the last event was a mirror; None in scenes without mirrors.
+    ``scattered`` says that a diffuse surface has been met; None where nobody asks.
     """
 
     ray: Ray
     hit: Hit
     beta: Any
     radiance: Any
-    specular: Any
+    scattered: Any
 
 
 def closest_hit(scene: Scene, ray: Ray, own=-1) -> Hit:
@@ -211,10 +212,13 @@ def scatter(scene, strategy, u, first, surface: Surface, path: PathState, caster
     if scene.sky is not None:
         radiance = radiance + where(alive & (hit.primitive < 0), beta * scene.sky, black(scene))
     hit = hit._replace(primitive=jnp.where(alive, hit.primitive, -1))
+    scattered = None if path.scattered is None else path.scattered | ~mirror
     if scene.lights and not (strategy.lights == "nee" and not scene.mirrors):
         met = _emission_by_strategy(scene, strategy, ray, hit, pdf, mirror)
+        if scattered is not None:
+            met = where(scattered, met, black(scene))
         radiance = radiance + beta * met
-    return PathState(ray, hit, beta, radiance, mirror if scene.mirrors else None)
+    return PathState(ray, hit, beta, radiance, scattered)
 
 
 def _emission_by_strategy(scene, strategy, ray, hit, pdf, mirror):
@@ -232,10 +236,12 @@ def trace(scene: Scene, strategy: Strategy, u, first: int, start: Ray, observe=N
     """
     hit = closest_hit(scene, start)
     one = jnp.ones(()) if scene.channels == 1 else Vec3(*[jnp.ones(())] * 3)
-    radiance = emission_toward(scene, start, hit, None) if scene.lights else black(scene)
+    seen = scene.lights and not strategy.hide_emitters
+    radiance = emission_toward(scene, start, hit, None) if seen else black(scene)
     if scene.sky is not None:
         radiance = radiance + where(hit.primitive < 0, scene.sky, black(scene))
-    state = PathState(start, hit, one, radiance, jnp.zeros((), bool) if scene.mirrors else None)
+    scattered = jnp.zeros((), bool) if scene.mirrors and strategy.hide_emitters else None
+    state = PathState(start, hit, one, radiance, scattered)
     return follow(scene, strategy, u, first, state, strategy.bounces, observe)
 
 

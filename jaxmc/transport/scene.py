@@ -198,7 +198,7 @@ def _rounding(frame, extent):
     """Return the rounding error of a hit in a quad's own coordinates, which run from -1 to 1."""
     shorter = jnp.minimum if not is_concrete(frame) else min
     half = shorter(dot(frame.half_u, frame.half_u) ** 0.5, dot(frame.half_v, frame.half_v) ** 0.5)
-    return 4.0 * float(jnp.finfo(float).eps) * (1.0 + extent / half)
+    return 4.0 * float(jnp.finfo(jnp.result_type(float)).eps) * (1.0 + extent / half)
 
 
 def _corners(quad):

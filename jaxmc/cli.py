@@ -1,0 +1,77 @@
+"""The command line: ``jaxmc study | replay``."""
+
+import argparse
+import sys
+
+from . import __version__, scenes
+from .studies import mirror_box, sparkles
+from .transport.debug import replay
+
+
+def main(arguments=None) -> int:
+    """Run the command line; return 0, or 2 after a one-line error that says what to change."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.run(options)
+    except ValueError as error:
+        print(f"jaxmc: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("jaxmc: interrupted", file=sys.stderr)
+        return 130
+
+
+def _parser():
+    parser = argparse.ArgumentParser(prog="jaxmc", description="Monte Carlo light transport, with error bars.")
+    parser.add_argument("--version", action="version", version=f"jaxmc {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    study = commands.add_parser("study", help="run a study and write its report").add_subparsers(required=True, metavar="STUDY")
+    mirror = study.add_parser("mirror-box", help="why the mirror box sparkles, and what clamping costs")
+    mirror.add_argument("--spp", type=int, default=4096, help="samples per pixel of the reference (default 4096)")
+    mirror.set_defaults(run=_study_mirror_box)
+    sparkle = study.add_parser("sparkles", help="uniform against cosine-weighted directions in a box with a gap")
+    sparkle.add_argument("--paths", type=int, default=1 << 24, help="paths searched for the extreme one (default 2^24)")
+    sparkle.set_defaults(run=_study_sparkles)
+    for command, name in ((mirror, "mirror-box"), (sparkle, "sparkles")):
+        command.add_argument("--out", default=f"out/{name}", help=f"folder of the report (default out/{name})")
+        command.add_argument("--seed", type=int, default=0, help="seed (default 0)")
+        command.add_argument("--quiet", action="store_true", help="no progress bar")
+
+    again = commands.add_parser("replay", help="print one path of a study, vertex by vertex")
+    replays = again.add_subparsers(required=True, metavar="STUDY")
+    for name, run in (("mirror-box", _replay_mirror_box), ("sparkles", _replay_sparkles)):
+        one = replays.add_parser(name)
+        one.add_argument("--sample", type=int, required=True, metavar="INDEX", help="sample index, from the report")
+        one.add_argument("--seed", type=int, default=0, help="seed of the study (default 0)")
+        one.set_defaults(run=run)
+    return parser
+
+
+def _study_mirror_box(options):
+    settings = mirror_box.Settings(spp=options.spp, seed=_seed(options), progress=not options.quiet)
+    print(f"report: {mirror_box.run(options.out, settings)}")
+    return 0
+
+
+def _study_sparkles(options):
+    settings = sparkles.Settings(paths=options.paths, seed=_seed(options), progress=not options.quiet)
+    print(f"report: {sparkles.run(options.out, settings)}")
+    return 0
+
+
+def _replay_mirror_box(options):
+    scene, camera = scenes.mirror_box()
+    print(replay(scene, camera, options.sample, key=_seed(options) << 8, **mirror_box.PATHS))
+    return 0
+
+
+def _replay_sparkles(options):
+    print(sparkles.extreme_path(options.sample, _seed(options)))
+    return 0
+
+
+def _seed(options):
+    if not 0 <= options.seed < 1 << 32:
+        raise ValueError(f"--seed must lie between 0 and 2^32 - 1, got {options.seed}")
+    return options.seed
