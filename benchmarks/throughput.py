@@ -55,9 +55,8 @@ def main():
         found["throughput"] = throughput(options, peers)
         found["first_call"]["overhead"] = found["first_call"]["seconds"] - found["throughput"]["jaxmc"]["seconds"]
         print(f"  first call: {found['first_call']['overhead']:.2f} s more, which compiles the kernel")
-        llvm = next((peer for peer in peers if peer.variant == LLVM), None)
-        if llvm and not options.skip_agreement:
-            found["agreement"] = {scene[0]: agreement(llvm, *scene) for scene in COMPARED}
+        if peers and not options.skip_agreement:
+            found["agreement"] = {scene[0]: agreement(peers[0], *scene) for scene in COMPARED}
     found |= {"peers": [peer.about for peer in peers], "machine": machine(), "versions": versions()}
     RESULTS.parent.mkdir(exist_ok=True)
     RESULTS.write_text(json.dumps(found, indent=1, default=float) + "\n")

@@ -75,3 +75,7 @@ def _seed(options):
     if not 0 <= options.seed < 1 << 32:
         raise ValueError(f"--seed must lie between 0 and 2^32 - 1, got {options.seed}")
     return options.seed
+
+
+if __name__ == "__main__":
+    sys.exit(main())

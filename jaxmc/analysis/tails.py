@@ -48,7 +48,7 @@ class TailFit(NamedTuple):
             return fit + ", so the mean and its standard error can be used."
         if self.status == "no mean":
             return fit + ", so at this sample count the tail looks as if it had no mean."
-        return fit + f", so the mean wants some {self.min_n:.1e} samples."
+        return fit + ", so the standard error of the mean cannot be trusted."
 
     def __str__(self) -> str:
         return self.explain()

@@ -49,7 +49,8 @@ class Lookup:
 
 def lookup(values) -> Lookup:
     """Return the table of one number for each primitive."""
-    if not is_concrete(list(values)):
+    values = list(values) or [0.0]  # an empty scene has tables too
+    if not is_concrete(values):
         return Lookup(tuple(values), tuple(range(len(values))))
     distinct = list(dict.fromkeys(values))
     return Lookup(tuple(distinct), tuple(distinct.index(v) for v in values))
@@ -140,7 +141,7 @@ def _number(x):
 
 def _lookups(vectors):
     if not isinstance(vectors[0] if vectors else 0.0, Vec3):
-        return lookup(vectors or [0.0])
+        return lookup(vectors)
     return Vec3(*(lookup([v[k] for v in vectors]) for k in range(3)))
 
 

@@ -1,0 +1,20 @@
+"""The README's examples run, in order, as one program."""
+
+import re
+from pathlib import Path
+
+README = Path(__file__).parent.parent / "README.md"
+
+
+def test_examples_run():
+    blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.S)
+    assert len(blocks) >= 4
+    namespace = {}
+    for block in blocks:
+        exec(compile(block, str(README), "exec"), namespace)
+    assert abs(namespace["estimate"].mean - namespace["lamp"].exact) < 5 * namespace["estimate"].stderr
+
+
+def test_files_named_in_the_readme_exist():
+    for path in re.findall(r"\]\((?!http)([^)#]+)\)", README.read_text()):
+        assert (README.parent / path).exists(), path
