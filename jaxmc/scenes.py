@@ -81,9 +81,9 @@ def mirror_box_parts(mirror=True) -> Parts:
 def sparkle_box(width=128, height=128) -> tuple[Scene, Camera]:
     """Return an open Cornell-like box with a lamp 0.001 below its ceiling: a path that enters the gap bounces for long.
 
-    Ceiling and lamp reflect nearly everything, the rest little, so that throughput grows in the gap alone.
+    Ceiling and lamp reflect nearly everything, so that throughput grows fastest in the gap.
     """
-    bright, rest = Diffuse(0.99), Diffuse(0.5)
+    bright, rest = Diffuse(0.99), Diffuse(0.75)
     walls = _room((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5), Diffuse(RED), Diffuse(GREEN), rest)
     walls[1] = dataclasses.replace(walls[1], material=bright)
     camera = PinholeCamera((0, 0, 1.9), (0, 0, 0), fov=40, width=width, height=height)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.special import lambertw
 
 from .. import plot
 from ..analysis import tails
@@ -46,6 +47,14 @@ class Settings:
             raise ValueError(f"the study searches 2^14 to 2^40 paths, got paths={self.paths}")
 
 
+def tail_index(albedo):
+    """Return the exponent k of P(S > x) ~ x^-k for the sum S over all path lengths in a closed scene: E[w^k] = 1 for
+    one factor w = 2 albedo U, so (2 albedo)^k = 1 + k (Kesten 1973, Goldie 1991).
+    """
+    a = np.log(2.0 * albedo)
+    return float(-1.0 - lambertw(-a * np.exp(-a), -1).real / a)
+
+
 def largest_throughput(value):
     """Return the largest throughput that a path has had."""
     return value.max(-1)
@@ -65,12 +74,13 @@ def run(folder, settings: Settings = Settings()) -> Path:
     """Run the study and return the path of its ``report.html``."""
     report = Report(folder, "Why long paths sparkle", seed=settings.seed)
     scene, camera = sparkle_box()
+    closed_scene, closed_camera = closed_sparkle_box(ALBEDO)
     pixels = camera.width * camera.height
     search = max(1, settings.paths // pixels)
     with Stages(2 * settings.paths // 4 + pixels * (search + 6 * settings.spp), settings.progress) as stages:
         images = {
             (d, k): render(
-                scene, camera, spp=settings.spp, bounces=k, directions=d, lights="none", key=_key(settings, 1),
+                closed_scene, closed_camera, spp=settings.spp, bounces=k, directions=d, lights="none", key=_key(settings, 1),
                 tallies={"tail": TailHistogram(luminance), "top": TopSamples(8192, luminance)},
                 progress=stages.stage(f"{d}, {k} bounces"),
             )
@@ -83,7 +93,7 @@ def run(folder, settings: Settings = Settings()) -> Path:
             pixels, n=search, key=_key(settings, 2), tallies={"top": TopSamples(16)},
             progress=stages.stage("search for the extreme path"),
         )  # fmt: skip
-        closed = {d: _throughput_moments(settings, d, stages) for d in DIRECTIONS}
+        closed = {d: _throughput_moments(settings, closed_scene, closed_camera, d, stages) for d in DIRECTIONS}
 
     _show_images(report, settings, images)
     _show_extreme(report, settings, extreme["top"], pixels * search)
@@ -104,8 +114,7 @@ def _key(settings, stream):
     return (settings.seed << 8) + stream
 
 
-def _throughput_moments(settings, directions, stages):
-    scene, camera = closed_sparkle_box(ALBEDO)
+def _throughput_moments(settings, scene, camera, directions, stages):
     tails_by_length = {f"tail {k}": TailHistogram(partial(after, i)) for i, k in enumerate(LENGTHS)}
     return integrate(
         path_throughput(scene, camera, events=LENGTHS, directions=directions), n=settings.paths // 4,
@@ -117,13 +126,15 @@ def _throughput_moments(settings, directions, stages):
 def _show_images(report, settings, images):
     report.section("Sparkles come with path length")
     report.text(
-        "A box with a lamp 0.001 below its ceiling, by path tracing without light sampling. Above: "
-        "directions drawn **uniformly** over the hemisphere. Below: **cosine-weighted**. The longer the paths, the more "
-        "sparkles above; below there are none."
+        f"A closed white box of albedo {ALBEDO} with a lamp 0.001 below its ceiling, by path tracing without light sampling. "
+        "Above: directions drawn **uniformly** over the hemisphere. Below: **cosine-weighted**. The longer the paths, the "
+        "more sparkles above; below there are none. For paths without end the uniform tail is a power law whose exponent "
+        f"is known: k-hat would tend to {1.0 / tail_index(ALBEDO):.2f}, and above albedo 0.866 the variance is infinite."
     )
     pictures = {f"{d}, {k} bounces": e.mean for (d, k), e in images.items()}
     caption = f"{settings.spp} samples per pixel, the same for all; gamma 1/2.2."
-    report.figure(plot.images(pictures, 3, exposure=0.4), "images", caption)
+    exposure = 0.25 / luminance(images["cosine", max(LENGTHS)].mean).mean()
+    report.figure(plot.images(pictures, 3, exposure), "images", caption)
     rows = []
     for (d, k), e in images.items():
         result = firefly_report(e["tail"], e["top"], 16.0)
@@ -143,6 +154,7 @@ def _show_extreme(report, settings, top, searched):
     in_gap = sum(GAP - 1e-4 <= v.point[1] for v in path.vertices[: peak + 1])
     report.section("The extreme path")
     report.text(
+        "An open Cornell-like box, whose ceiling and lamp reflect 0.99. "
         f"Of {searched:,} paths of up to {max(LENGTHS)} bounces, the one whose throughput grew most reached "
         f"**{top.value[0]:.5g}**, at vertex {peak + 1}; {in_gap} of its first {peak + 1} vertices lie in the gap between lamp "
         f"and ceiling (y from {GAP} to 0.5). `jaxmc replay sparkles --sample {top.index[0]}` prints it again."
@@ -157,7 +169,7 @@ def _show_extreme(report, settings, top, searched):
 def _show_moments(report, closed):
     report.section("Throughput against its exact law")
     report.text(
-        f"The same box with its front closed and albedo {ALBEDO} everywhere. After k uniform bounces throughput is the product of "
+        f"The closed box again. After k uniform bounces throughput is the product of "
         "k independent factors 2 albedo U: its q-th moment is ((2 albedo)^q / (q + 1))^k. Where a moment rests on paths rarer "
         "than the sample, the estimate falls short and its error bar with it: the tail that matters has not been seen."
     )
@@ -176,6 +188,6 @@ def _show_moments(report, closed):
     for k in LENGTHS:
         plot.throughput_law(ax, tails.exceedance(closed["uniform"][f"tail {k}"]), law[k].exceedance, f"{k} bounces")
     ax.plot([], [], "k--", lw=0.8, label="exact")
-    ax.set_xlim(1e-12, None)
+    ax.set_xlim(1e-12, 1e5)
     ax.legend(fontsize=8)
     report.figure(fig, "throughput", "How often throughput exceeds w after k uniform bounces, with 95% bands.")

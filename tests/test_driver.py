@@ -1,0 +1,823 @@
+"""The driver and its tallies against NumPy on the same samples, whatever the way the work is cut."""
+
+import dataclasses
+import math
+import re
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+import jaxmc as mc
+from jaxmc.analysis.clamping import clamp_curve
+from jaxmc.integration import driver, moments
+from jaxmc.integration.estimate import with_error
+from jaxmc.integration.samplers import Index, index_words, seed_words
+from jaxmc.testing import Exponential, LogNormal, Mix, Pareto
+
+# Samples that are known in advance: the coordinate is the sample's own index, and looks its value up in a table.
+
+
+class IndexPoint(NamedTuple):
+    index: jax.Array
+
+    def __getitem__(self, dimension):
+        return jnp.broadcast_to(self.index, jnp.shape(dimension))
+
+
+@dataclasses.dataclass(frozen=True)
+class Counting:
+    """A sampler whose every coordinate is the low word of the sample's index."""
+
+    def point(self, seed, index):
+        return IndexPoint(index.low)
+
+
+def _look_up(u, table):
+    return jax.tree.map(lambda column: column[u[0]], table)
+
+
+def integrate_table(table, **options):
+    """Integrate with sample i = table[i], for a table or a pytree of tables of one length."""
+    n = len(jax.tree.leaves(table)[0])
+    return mc.integrate(mc.Integrand(_look_up, 1, (table,), lazy=True), n=n, sampler=Counting(), **options)
+
+
+def run_from(start, stop, f, tallies, sampler=None, tiles=2):
+    """Return the estimate from the samples with indices start <= i < stop."""
+    jobs = (driver._stream_job(first, stop, tiles) for first in range(start, stop, tiles * driver.BLOCK))
+    n = stop - start
+    return driver._run(f, jobs, n, n, (), 0, sampler or mc.Independent(), tallies, None, 2)
+
+
+def same(a, b):
+    """Whether two estimates are equal in all tallies, bit for bit."""
+    a, b = (jax.tree.flatten((e.moments, e.tallies)) for e in (a, b))
+    return a[1] == b[1] and all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a[0], b[0]))
+
+
+def tree(u):
+    """Two coordinates to a scalar with a heavy tail and an array of shape (3,)."""
+    return {"a": u[0] / jnp.sqrt(u[1]), "b": jnp.stack([u[0], jnp.exp(u[1]), u[0] * u[1] - 7.0])}
+
+
+def of_a(values):
+    return values["a"]
+
+
+def of_b(values):
+    return values["b"]
+
+
+TALLIES = {
+    "tail": mc.TailHistogram(of=of_a),
+    "top": mc.TopSamples(100, of=of_a),
+    "clamp": mc.ClampLadder((0.5, 2.0, 10.0), of=of_a),
+    "b": mc.Moments(of=of_b, order=3),
+}
+
+
+# The way the work is cut.
+
+N = 300_001
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return mc.integrate(tree, dim=2, n=N, tallies=TALLIES, chunk=1, workers=1)
+
+
+@pytest.mark.parametrize("chunk", [1, 20_000, 2**18, 2**20])
+@pytest.mark.parametrize("workers", [1, 2, 5])
+def test_results_do_not_depend_on_chunks_or_workers(whole, chunk, workers):
+    assert same(mc.integrate(tree, dim=2, n=N, tallies=TALLIES, chunk=chunk, workers=workers), whole)
+
+
+def test_other_seeds_and_other_orders_give_other_results(whole, monkeypatch):
+    assert not same(mc.integrate(tree, dim=2, n=N, tallies=TALLIES, key=1), whole)
+    fold = driver._fold
+
+    def backwards(tally, state, record, job, items):
+        if not tally.pooled:
+            record = jax.tree.map(lambda x: x[::-1], record)
+            job = job._replace(rows=job.rows[::-1])
+        fold(tally, state, record, job, items)
+
+    # Moments of blocks that are added in another order differ in their last digits, and the comparison sees it.
+    monkeypatch.setattr(driver, "_fold", backwards)
+    assert not same(mc.integrate(tree, dim=2, n=N, tallies=TALLIES), whole)
+
+
+def tree_of_item(u, scale, item):
+    return jax.tree.map(lambda x: scale * x + item, tree(u))
+
+
+def test_families_do_not_depend_on_chunks_or_workers():
+    f = mc.Integrand(tree_of_item, 2, (2.0,))
+    run = partial(mc.integrate_each, f, 700, n=70, tallies=TALLIES)
+    first = run(chunk=1, workers=1)
+    assert all(same(run(chunk=chunk, workers=workers), first) for chunk in (40_000, 2**20) for workers in (2, 5))
+
+
+@dataclasses.dataclass(frozen=True)
+class Ends(mc.Independent):
+    """A sampler whose points are NaN from index ``n`` on."""
+
+    n: int
+
+    def point(self, seed, index):
+        class Point(NamedTuple):
+            right: object
+            ended: object
+
+            def __getitem__(self, dimension):
+                return jnp.where(self.ended, jnp.nan, self.right[dimension])
+
+        return Point(super().point(seed, index), (index.high > 0) | (index.low >= self.n))
+
+
+@dataclasses.dataclass(frozen=True)
+class LeakyMoments(mc.Moments):
+    """A mutant that takes masked lanes for samples."""
+
+    def reduce(self, values, valid, axes):
+        return super().reduce(values, jnp.ones_like(valid), axes)
+
+
+@pytest.mark.parametrize("n", [1, 2, 257, 16_385])
+def test_samples_behind_the_last_are_never_seen(n):
+    run = partial(mc.integrate, tree, dim=2, n=n, chunk=1)
+    cut = run(tallies={**TALLIES, "leaky": LeakyMoments()}, sampler=Ends(n))
+    leaky = cut.tallies.pop("leaky")
+    assert cut.nonfinite == 0 and same(cut, run(tallies=TALLIES))
+    assert all(m.n > n for m in np.ravel([m.n for m in leaky][:1])[:0]) and leaky[0].nonfinite > 0
+
+
+@pytest.mark.parametrize("n", [1, 2, 255, 16_385, 70_001])
+def test_every_index_is_evaluated_once(n):
+    estimate = integrate_table(np.arange(n, dtype=np.float32), tallies={"top": mc.TopSamples(n)}, chunk=40_000)
+    assert estimate.n == estimate.moments[0].n == estimate["top"].n == n
+    assert np.array_equal(estimate["top"].index, np.arange(n)[::-1])
+    assert np.array_equal(estimate["top"].value, np.arange(n)[::-1])
+    assert estimate.mean == pytest.approx((n - 1) / 2, rel=1e-12)
+
+
+@pytest.mark.parametrize(("items", "n"), [(1, 1), (3, 65), (256, 64), (300, 130)])
+def test_families_number_their_samples(items, n):
+    table = np.random.default_rng(1).normal(size=n * items).astype(np.float32)
+
+    def fn(u, table, item):
+        return jnp.where(item < items, table[u[0]], jnp.nan), (u[0] % items).astype(jnp.float32), item
+
+    f = mc.Integrand(fn, 1, (table,), lazy=True)
+    tallies = {"top": mc.TopSamples(50, of=lambda value: value[0])}
+    estimate = mc.integrate_each(f, items, n=n, sampler=Counting(), tallies=tallies)
+    samples = table.astype(np.float64).reshape(n, items)
+    mean, remainder, item = estimate.mean
+    assert np.allclose(mean, samples.mean(0), rtol=0, atol=1e-7) and estimate.nonfinite == 0
+    assert np.array_equal(remainder, np.arange(items)) and np.array_equal(item, np.arange(items))
+    assert all((m.n == n).all() and m.n.shape == (items,) for m in estimate.moments)
+    if n > 1:
+        assert np.allclose(estimate.variance[0], samples.var(0, ddof=1), rtol=1e-6)
+    order = np.lexsort((np.arange(table.size), -table))[:50]
+    assert np.array_equal(estimate["top"].index, order) and np.array_equal(estimate["top"].value, table[order])
+
+
+def test_families_get_points_as_single_integrals_do():
+    # An array unless the integrand is lazy.
+    f = mc.Integrand(lambda u, item: u.sum() + item, 3)
+    estimate = mc.integrate_each(f, 2, n=1000)
+    values = mc.draw(lambda u: u.sum(), dim=3, n=2000).value.astype(np.float64).reshape(1000, 2)
+    assert np.allclose(estimate.mean, values.mean(0) + [0, 1], rtol=1e-6)
+
+
+# Long runs.
+
+
+@pytest.mark.parametrize("start", [0, 2**32 - 3000, 2**40, 2**62 + 2**33 - 1, 2**63 - 50_000])
+def test_jobs_number_their_samples(start):
+    job = driver._stream_job(start, start + 20_000, 2)
+    assert job.samples == 20_000 and job.rows.sum() == 20_000
+    position = np.arange(2 * driver.BLOCK)
+    assert np.array_equal(job.index(position), np.uint64(start) + position.astype(np.uint64))
+    wanted = (np.arange(driver.ROWS)[:, None] < job.rows[:, None, :]).ravel()
+    assert np.array_equal(wanted, position < 20_000)
+    assert driver._stream_job(start, start + 2**20, 2).samples == 2 * driver.BLOCK
+
+
+@pytest.mark.parametrize("start", [2**32 - 3000, 2**40])
+def test_kernels_count_across_word_boundaries(start):
+    f = mc.Integrand(lambda u: -jnp.log(u[0]) * u[1], 2)
+    estimate = run_from(start, start + 20_000, f, {"top": mc.TopSamples(300)})
+    samples = mc.draw(f, indices=np.arange(start, start + 20_000, dtype=np.uint64))
+    order = np.lexsort((samples.index, -samples.value))[:300]
+    assert np.array_equal(estimate["top"].index, samples.index[order])
+    assert np.allclose(estimate["top"].value, samples.value[order], rtol=1e-6)
+    assert estimate.mean == pytest.approx(samples.value.mean(dtype=np.float64), rel=1e-6)
+
+
+def test_any_sample_can_be_drawn():
+    indices = [0, 2**32 - 1, 2**32, 2**40 + 5, 2**63 - 1]
+    samples = mc.draw(lambda u: 2.0 * u, dim=3, indices=indices, key=9)
+    assert samples.index.tolist() == indices and samples.index.dtype == np.uint64
+    seed = jnp.asarray(seed_words(9))
+    for row, (high, low) in zip(samples.u, index_words(indices)):
+        point = mc.Independent().point(seed, Index(jnp.uint32(high), jnp.uint32(low)))
+        assert row.tolist() == [float(point[k]) for k in range(3)]
+    assert len(np.unique(samples.u)) == samples.u.size
+    assert np.array_equal(samples.value, 2.0 * samples.u)
+    first = mc.draw(lambda u: 2.0 * u, dim=3, n=5, key=9)
+    assert first.index.tolist() == [0, 1, 2, 3, 4]
+    assert np.array_equal(first.u[0], samples.u[0])
+    top = mc.draw(lambda u: u[0], dim=1, indices=np.array([2**64 - 1], np.uint64))
+    assert 0.0 < top.value[0] < 1.0
+
+
+def test_one_sample():
+    estimate = mc.integrate(tree, dim=2, n=1, tallies=TALLIES)
+    sample = mc.draw(tree, dim=2, n=1)
+    assert estimate.mean["a"] == pytest.approx(sample.value["a"][0], rel=1e-6)
+    assert np.allclose(estimate.mean["b"], sample.value["b"][0], rtol=1e-6)
+    assert math.isnan(estimate.variance["a"]) and np.isnan(estimate.stderr["b"]).all()
+    assert estimate["tail"].count.sum() == 1 and estimate["top"].n == 1
+    assert "nan" not in str(estimate) and estimate.status == "complete"
+    assert mc.integrate_each(mc.Integrand(tree_of_item, 2, (1.0,)), 1, n=1).mean["a"].shape == (1,)
+
+
+# Moments.
+
+
+def wrong_moments(result, samples):
+    """Return which of the moments differ from NumPy's in float64 by more than float32 arithmetic explains."""
+    x = np.asarray(samples, np.float64)
+    n, center = len(x), x.mean(0)
+    z = (x - center) / np.where((sd := x.std(0)) > 0.0, sd, 1.0)
+    wrong = set() if (result.n == n).all() else {"n"}
+    if (np.abs(result.mean - center) > 1e-7 * sd + 1e-15 * np.abs(center)).any():
+        wrong.add("mean")
+    if (np.abs(result.variance - x.var(0, ddof=1)) > 1e-6 * sd**2 + 1e-20 * center**2).any():
+        wrong.add("variance")
+    for k, central in zip((2, 3, 4), result.central):
+        if (
+            np.abs(central - (z**k).mean(0) * sd**k) > 2e-6 * (np.abs(z) ** k).mean(0) * sd**k + 1e-20 * center**k
+        ).any():
+            wrong.add(k)
+    return wrong
+
+
+RANDOM = np.random.default_rng(5)
+NORMAL = RANDOM.normal(size=50_001)
+TABLES = {
+    "normal": NORMAL,
+    "sorted": np.sort(NORMAL),
+    "far from 0": 1e5 + NORMAL,
+    "heavy tail": RANDOM.random(50_001) ** -0.4,
+    "huge": 1e30 * np.exp(NORMAL),
+    "tiny": 1e-30 * np.exp(NORMAL),
+    "both": np.where(NORMAL > 3.0, 1e15, 1e-15),
+    "rare": NORMAL > 3.5,
+    "constant": np.full(50_001, 0.1),
+    "huge constant": np.full(50_001, -1e30),
+    "tiny constant": np.full(50_001, 1e-30),
+    "zero": np.zeros(50_001),
+}
+TABLES = {name: table.astype(np.float32) for name, table in TABLES.items()}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_moments_are_those_of_numpy(name):
+    result = integrate_table(TABLES[name]).moments[0]
+    assert not wrong_moments(result, TABLES[name])
+    if "constant" in name or name == "zero":
+        assert result.mean == pytest.approx(float(TABLES[name][0]), rel=1e-15)
+        assert 0.0 <= result.variance <= 1e-28 * float(TABLES[name][0]) ** 2
+
+
+@pytest.mark.parametrize("n", [2, 3, 10])
+def test_moments_of_few_samples(n):
+    assert not wrong_moments(integrate_table(TABLES["heavy tail"][:n]).moments[0], TABLES["heavy tail"][:n])
+
+
+def test_moments_keep_the_shape_of_the_value():
+    table = {"x": TABLES["normal"], "y": (RANDOM.random((50_001, 3)), RANDOM.random((50_001, 2, 2)) ** 8)}
+    table = jax.tree.map(np.float32, table)
+    estimate = integrate_table(table)
+    assert all(not wrong_moments(m, x) for m, x in zip(estimate.moments, jax.tree.leaves(table), strict=True))
+    shapes = {"x": (), "y": ((3,), (2, 2))}
+    for value in (estimate.mean, estimate.variance, estimate.stderr, *estimate.interval()):
+        assert jax.tree.map(np.shape, value) == shapes
+    assert isinstance(estimate.mean["x"], float)
+    assert estimate.stderr["y"][0] == pytest.approx(np.sqrt(estimate.variance["y"][0] / estimate.n))
+
+
+def test_moments_are_those_of_the_drawn_samples(whole):
+    samples = mc.draw(tree, dim=2, n=N)
+    assert not wrong_moments(whole.moments[1], samples.value["b"])
+    assert not wrong_moments(whole["b"][0], samples.value["b"]) and len(whole["b"][0].central) == 2
+    assert whole.mean["a"] == pytest.approx(samples.value["a"].mean(dtype=np.float64), rel=1e-6)
+    u = mc.integrate(lambda u: u, dim=2, n=N).moments[0]
+    assert not wrong_moments(u, samples.u)
+
+
+@pytest.mark.parametrize("dtype", [bool, np.int8, np.uint16, np.int32, np.float16])
+def test_moments_of_any_type_of_number(dtype):
+    table = RANDOM.integers(0, 2 if dtype is bool else 100, 40_000).astype(dtype)
+    assert not wrong_moments(integrate_table(table).moments[0], table)
+
+
+def test_an_indicator_is_a_probability():
+    estimate = mc.integrate(lambda u: u[0] < 0.3, dim=1, n=100_000)
+    assert abs(estimate.mean - 0.3) < 5.0 * np.sqrt(0.3 * 0.7 / 1e5)
+    assert estimate.variance == pytest.approx(estimate.mean * (1.0 - estimate.mean) * 1e5 / (1e5 - 1), rel=1e-6)
+
+
+def many_orders(sums):
+    """Add single values of which the largest two cancel; the rest sum to 10000."""
+    for x in [0.0, 1e16, *[1.0] * 10_000, -1e16]:
+        record = {"count": 1.0, "mean": x, "scale": 0.0, "powers": np.zeros(4), "nonfinite": np.zeros((), int)}
+        sums.add(record, ...)
+    return sums.moments().mean * 10_003
+
+
+def test_sums_are_compensated():
+    assert many_orders(moments._PowerSums.zeros((), 4)) == pytest.approx(10_000.0, rel=1e-9)
+
+
+def forgetful(self, where, powers):
+    for k, x in enumerate(powers):
+        self.total[k, where] += x
+
+
+def biased(self):
+    return self.central[0]
+
+
+def twice_corrected(self):
+    return self.central[0] * (self.n / (self.n - 2))
+
+
+def without_cross_terms(n, powers, d):
+    return [s + n * d ** (k + 1) for k, s in enumerate(powers)]
+
+
+def test_mutants_of_moments_fail(monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(moments._PowerSums, "_accumulate", forgetful)
+        assert abs(many_orders(moments._PowerSums.zeros((), 4)) - 10_000.0) > 1000.0
+    few = TABLES["heavy tail"][:10]
+    for variance in (biased, twice_corrected):
+        with monkeypatch.context() as patch:
+            patch.setattr(moments.MomentsResult, "variance", property(variance))
+            assert wrong_moments(integrate_table(few).moments[0], few) == {"variance"}
+    with monkeypatch.context() as patch:
+        patch.setattr(moments, "_shift", without_cross_terms)
+        assert {"variance", 3, 4} <= wrong_moments(integrate_table(TABLES["sorted"]).moments[0], TABLES["sorted"])
+
+
+@pytest.mark.slow
+def test_the_mean_of_a_constant_is_the_constant_after_100_million_samples():
+    estimate = mc.integrate(lambda u: jnp.float32(0.1), dim=1, n=10**8)
+    assert estimate.mean == pytest.approx(float(np.float32(0.1)), rel=1e-12)
+    assert estimate.variance < 1e-30
+
+
+# Tail histograms.
+
+
+def wrong_histogram(histogram, samples):
+    """Return what differs from float64 sums of the samples as float32: counts and sums exactly, squares by 3e-8."""
+    c = np.asarray(samples, np.float32).astype(np.float64)
+    kept = c[np.isfinite(c) & (c >= 0.0)]
+    seen = histogram.n, histogram.nonfinite, histogram.negative
+    wrong = set() if seen == (c.size, (~np.isfinite(c)).sum(), (np.isfinite(c) & (c < 0.0)).sum()) else {"n"}
+    bins = np.searchsorted(histogram.edges, kept, side="right") - 1
+    count, total, square = (np.bincount(bins, kept**q, histogram.edges.size) for q in range(3))
+    if not np.array_equal(histogram.count, count):
+        wrong.add("count")
+    if not np.allclose(histogram.total, total, rtol=1e-12, atol=0.0):
+        wrong.add("total")
+    # Below the least normal number there is no octave to resolve the square in.
+    normal = histogram.edges >= 2.0**-126
+    if not np.allclose(histogram.square[normal], square[normal], rtol=3e-8, atol=0.0):
+        wrong.add("square")
+    return wrong
+
+
+BITS = RANDOM.integers(0, 0x7F800000, 40_000, np.uint32)
+POWERS = 2.0 ** np.arange(-126.0, 128.0)
+EDGES = (POWERS[:, None] * (1.0 + np.arange(8) / 8)).ravel().astype(np.float32)
+SPECIAL = [0.0, -0.0, 1e-45, 1e-40, 1.1754942e-38, 1.1754944e-38, 3.4028235e38, 1.0, np.nan, np.inf, -np.inf, -1.0]
+HISTOGRAMS = {
+    "any finite": BITS.view(np.float32),
+    "on edges": EDGES,
+    "next to edges": np.concatenate([np.nextafter(EDGES, np.float32(0.0)), np.nextafter(EDGES, np.float32(np.inf))]),
+    "special": SPECIAL,
+    "denormal": (BITS & 0x7FFFFF).view(np.float32),
+    "negative": -BITS.view(np.float32),
+    "negative denormal": -(BITS[:100] & 0x7FFFFF | 1).view(np.float32),
+    "one bin, full": np.full(70_000, np.nextafter(np.float32(1.125), np.float32(0.0))),
+    "ordinary": np.exp(2.0 * RANDOM.normal(size=40_000)),
+    "mostly zero": np.where(RANDOM.random(40_000) < 0.99, 0.0, RANDOM.random(40_000)),
+}
+
+
+@pytest.mark.parametrize("name", HISTOGRAMS)
+def test_histograms_hold_exact_sums(name):
+    table = np.asarray(HISTOGRAMS[name], np.float32)
+    table = np.resize(table, 70_000)
+    assert not wrong_histogram(integrate_table(table, tallies={"tail": mc.TailHistogram()})["tail"], table)
+
+
+def test_histogram_edges_are_eight_to_the_octave():
+    edges = mc.integrate(lambda u: u[0], dim=1, n=10, tallies={"tail": mc.TailHistogram()})["tail"].edges
+    assert edges[0] == 0.0 and (np.diff(edges) > 0.0).all()
+    assert np.array_equal(edges[edges >= 2.0**-126], EDGES.astype(np.float64))
+
+
+def wrong_clamping(histogram, samples):
+    """Return the greatest relative error of B(t) over the edges, against the samples themselves."""
+    curve = clamp_curve(histogram)
+    c = np.sort(np.asarray(samples, np.float32).astype(np.float64))
+    first = np.searchsorted(c, curve.threshold)
+    assert np.array_equal(curve.exceedances, c.size - first)
+    bias = np.array([(c[k:] - t).sum() for k, t in zip(first, curve.threshold)]) / c.size
+    return np.max(np.abs(curve.bias - bias) / np.where(bias > 0.0, bias, 1e-12 * c.mean()))
+
+
+@dataclasses.dataclass(frozen=True)
+class Midpoints(mc.TailHistogram):
+    """A mutant that takes samples for the centres of their bins."""
+
+    def result(self, state):
+        right = super().result(state)
+        upper = np.append(right.edges[1:], 2.0**128)
+        return right._replace(total=right.count * (right.edges + upper) / 2.0)
+
+
+LAWS = [Exponential(), LogNormal(0.0, 1.5), Pareto(1.5), Mix(1e-3, 500.0)]
+
+
+@pytest.mark.parametrize("law", LAWS, ids=str)
+def test_clamping_bias_is_that_of_the_samples(law):
+    tallies = {"tail": mc.TailHistogram(), "mutant": Midpoints()}
+    estimate = mc.integrate(law.sample, dim=law.dim, n=100_000, key=3, tallies=tallies)
+    samples = mc.draw(law.sample, dim=law.dim, n=100_000, key=3)
+    # Two kernels may round a transcendental function differently.
+    assert wrong_clamping(estimate["tail"], samples.value) < 1e-6 < wrong_clamping(estimate["mutant"], samples.value)
+
+
+def test_clamp_ladders_hold_means_of_both_parts():
+    t = np.array([0.1, 1.0, 5.0, 1e3])
+    table = np.exp(NORMAL).astype(np.float32).reshape(-1, 3)
+    clamp = integrate_table(table[:, 0], tallies={"clamp": mc.ClampLadder(tuple(t))})["clamp"]
+    f = mc.Integrand(lambda u, table, item: table[u[0]], 1, (table.ravel(),), lazy=True)
+    each = mc.integrate_each(f, 3, n=len(table), sampler=Counting(), tallies={"clamp": mc.ClampLadder(tuple(t))})
+    for sums, samples in ((clamp, table[:, :1]), (each["clamp"], table)):
+        c = samples.astype(np.float64)
+        kept, excess = np.minimum(c, t[:, None, None]), np.maximum(c - t[:, None, None], 0.0)
+        assert sums.n == len(c) and np.array_equal(sums.thresholds, t)
+        for got, x in zip(sums[2:], (kept, kept**2, excess, excess**2), strict=True):
+            assert np.allclose(got, x.mean(1).reshape(np.shape(got)), rtol=2e-6, atol=1e-12)
+    assert each["clamp"].excess.shape == (4, 3) and clamp.excess.shape == (4,)
+
+
+# Largest samples.
+
+
+def wrong_largest(largest, samples, k):
+    """Whether the largest samples differ from a full sort, ties by index."""
+    order = np.lexsort((np.arange(len(samples)), -samples))[:k]
+    same_values = np.array_equal(largest.value, samples[order])
+    return not (largest.n == len(samples) and same_values and np.array_equal(largest.index, order))
+
+
+@dataclasses.dataclass(frozen=True)
+class LastTies(mc.TopSamples):
+    """A mutant that keeps the last of equal samples."""
+
+    def _prune(self, state):
+        order = np.lexsort((-state["index"].astype(np.int64), -state["value"]))[: self.k]
+        state["value"], state["index"] = state["value"][order], state["index"][order]
+
+
+ATOMS = RANDOM.integers(0, 10, 100_003).astype(np.float32)
+TOPS = {
+    "atoms": ATOMS,
+    "all equal": np.full(100_003, -2.0, np.float32),
+    "increasing": np.arange(100_003, dtype=np.float32),
+    "decreasing": -np.arange(100_003, dtype=np.float32),
+    "normal": RANDOM.normal(size=100_003).astype(np.float32),
+    "few infinite": np.where(ATOMS[::-1] == 3.0, np.inf, ATOMS).astype(np.float32),
+}
+
+
+@pytest.mark.parametrize("name", TOPS)
+def test_largest_samples_are_those_of_a_sort(name):
+    tallies = {k: mc.TopSamples(k) for k in (1, 1000, 200_000)} | {"mutant": LastTies(1000)}
+    estimate = integrate_table(TOPS[name], tallies=tallies)
+    assert not any(wrong_largest(estimate[k], TOPS[name], k) for k in (1, 1000, 200_000))
+    if name in ("atoms", "all equal", "few infinite"):
+        assert wrong_largest(estimate["mutant"], TOPS[name], 1000)
+
+
+def test_nan_counts_as_the_largest():
+    table = np.array([1.0, np.nan, 3.0, np.inf, np.nan], np.float32)
+    largest = integrate_table(table, tallies={"top": mc.TopSamples(4)})["top"]
+    assert largest.value.tolist() == [np.inf, np.inf, np.inf, 3.0] and largest.index.tolist() == [1, 3, 4, 2]
+
+
+def test_largest_samples_replay(whole):
+    samples = mc.draw(tree, dim=2, indices=whole["top"].index)
+    assert np.array_equal(samples.index, whole["top"].index)
+    assert np.array_equal(samples.value["a"], whole["top"].value)
+    assert np.array_equal(samples.value["a"], samples.u[:, 0] / np.sqrt(samples.u[:, 1]))
+
+
+# Merging.
+
+
+class Raw:
+    """A tally whose result is its state."""
+
+    def __init__(self, tally):
+        self.tally = tally
+
+    def __getattr__(self, name):
+        return getattr(self.tally, name)
+
+    def result(self, state):
+        return state
+
+
+def test_halves_merge_to_the_whole():
+    f = mc.Integrand(tree, 2)
+    raw = {name: Raw(tally) for name, tally in TALLIES.items()}
+    right = run_from(0, 100_001, f, TALLIES)
+    halves = run_from(0, 40_000, f, raw), run_from(40_000, 100_001, f, raw)
+    merged = {name: tally.result(tally.merge(*(half[name] for half in halves))) for name, tally in TALLIES.items()}
+    assert all(np.array_equal(a, b) for a, b in zip(merged["tail"], right["tail"], strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(merged["top"], right["top"], strict=True))
+    assert merged["clamp"].n == right["clamp"].n == 100_001
+    assert all(np.allclose(a, b, rtol=1e-6) for a, b in zip(merged["clamp"], right["clamp"], strict=True))
+    assert not wrong_moments(merged["b"][0], mc.draw(tree, dim=2, n=100_001).value["b"])
+
+
+def test_nothing_merges_as_nothing():
+    f = mc.Integrand(tree, 2)
+    for name, tally in TALLIES.items():
+        full, other = (run_from(0, 5000, f, {name: Raw(tally)})[name] for _ in range(2))
+        nothing = run_from(0, 1, f, {name: Empty(tally)})[name]
+        for merged in (tally.merge(nothing, full), tally.merge(other, run_from(0, 1, f, {name: Empty(tally)})[name])):
+            expected = tally.result(run_from(0, 5000, f, {name: Raw(tally)})[name])
+            got = jax.tree.leaves(tally.result(merged))
+            assert all(np.array_equal(a, b) for a, b in zip(got, jax.tree.leaves(expected), strict=True))
+
+
+class Empty(Raw):
+    """A tally that adds nothing."""
+
+    def add(self, state, record, where=..., index=None):
+        pass
+
+
+# Integrands and parameters.
+
+
+def test_other_parameter_values_do_not_recompile():
+    traces = []
+
+    def fn(u, a, b):
+        traces.append(a)
+        return a * u[0] + b["x"]
+
+    first = mc.integrate(mc.Integrand(fn, 1, (2.0, {"x": 1.0})), n=1000)
+    seen = len(traces)
+    second = mc.integrate(mc.Integrand(fn, 1, (-4.0, {"x": 5.0})), n=2000, key=8)
+    assert 0 < seen == len(traces)
+    assert first.mean == pytest.approx(2.0, abs=0.1) and second.mean == pytest.approx(3.0, abs=0.2)
+    # A new function is a new kernel.
+    mc.integrate(mc.Integrand(lambda u, a, b: fn(u, a, b), 1, (2.0, {"x": 1.0})), n=1000)
+    assert len(traces) > seen
+
+
+def test_gradients_flow_through_parameters():
+    f = mc.Integrand(lambda u, a, b: jnp.sin(a * u[0]) + b * u[1] ** 2, 2, (2.0, 3.0))
+    u = jnp.array([0.3, 0.6])
+    a, b = jax.grad(lambda g: g(u))(f).params
+    assert float(a) == pytest.approx(0.3 * math.cos(0.6), rel=1e-6) and float(b) == pytest.approx(0.36, rel=1e-6)
+    points = mc.draw(f, n=1000).u
+    mean_gradient = jax.grad(lambda g: g.batch(points).mean())(f).params[1]
+    assert float(mean_gradient) == pytest.approx((points[:, 1] ** 2).mean(), rel=1e-5)
+
+
+def test_integrands_evaluate_batches():
+    samples = mc.draw(tree, dim=2, n=100)
+    values = mc.Integrand(tree, 2).batch(samples.u)
+    assert np.allclose(values["a"], samples.value["a"]) and values["b"].shape == (100, 3)
+    with pytest.raises(ValueError, match="shape"):
+        mc.Integrand(tree, 2).batch(np.zeros((5, 3)))
+
+
+def test_lazy_integrands_see_the_same_coordinates():
+    def fn(u):
+        return u[0] + 2.0 * u[1]
+
+    lazy, array = (mc.integrate(mc.Integrand(fn, 2, lazy=lazy), n=5000) for lazy in (True, False))
+    assert lazy.mean == pytest.approx(array.mean, rel=1e-7)
+
+
+# Known integrals.
+
+
+def product(u):
+    return jnp.prod(0.5 + u)
+
+
+def exponential(u):
+    return jnp.exp(u.sum())
+
+
+E1, E2 = math.e - 1.0, (math.e**2 - 1.0) / 2.0
+KNOWN = [(product, 8, 1.0, (13 / 12) ** 8 - 1.0), (exponential, 4, E1**4, E2**4 - E1**8)]
+
+
+class Pairs(mc.Independent):
+    """A mutant whose coordinates 2k and 2k + 1 are equal."""
+
+    def point(self, seed, index):
+        class Point(NamedTuple):
+            right: object
+
+            def __getitem__(self, dimension):
+                return self.right[dimension // 2]
+
+        return Point(super().point(seed, index))
+
+
+def deviation(estimate, exact, variance):
+    """Return the error of the mean in exact standard errors, which are small."""
+    stderr = math.sqrt(variance / estimate.n)
+    assert stderr < 2e-3 * exact and estimate.nonfinite == 0
+    return abs(estimate.mean - exact) / stderr
+
+
+@pytest.mark.parametrize(("f", "dim", "exact", "variance"), KNOWN)
+def test_known_integrals(f, dim, exact, variance):
+    estimate = mc.integrate(f, dim=dim, n=2**22)
+    assert deviation(estimate, exact, variance) < 5.0
+    assert estimate.stderr == pytest.approx(math.sqrt(variance / estimate.n), rel=0.01)
+    assert deviation(mc.integrate(f, dim=dim, n=2**20, sampler=Pairs()), exact, variance) > 5.0
+
+
+def test_intervals_hold_the_integral_as_often_as_they_say():
+    # 20000 families of 256 nearly normal samples: the check sees a standard error that is wrong by 5 %.
+    f = mc.Integrand(lambda u, item: u.sum(), 6)
+    estimate = mc.integrate_each(f, 20_000, n=256)
+    for level in (0.5, 0.95):
+        lower, upper = estimate.interval(level)
+        covered = np.mean((lower < 3.0) & (3.0 < upper))
+        # The interval is normal, the law of the mean over its own standard error is Student's.
+        truth = 1.0 - 2.0 * stats.t(255).sf(stats.norm.isf((1.0 - level) / 2.0))
+        assert abs(covered - truth) < 5.0 * math.sqrt(truth * (1.0 - truth) / 20_000)
+    short = np.abs(estimate.mean - 3.0) < 0.95 * stats.norm.isf(0.025) * estimate.stderr
+    assert abs(short.mean() - truth) > 5.0 * math.sqrt(truth * (1.0 - truth) / 20_000)
+
+
+def test_values_that_are_not_finite_are_counted():
+    def fn(u):
+        return jnp.where(u[0] < 0.01, jnp.nan, jnp.where(u[0] > 0.99, jnp.inf, u[0]))
+
+    estimate = mc.integrate(fn, dim=1, n=50_000, tallies={"tail": mc.TailHistogram()})
+    samples = mc.draw(fn, dim=1, n=50_000).value
+    assert estimate.nonfinite == estimate["tail"].nonfinite == np.count_nonzero(~np.isfinite(samples)) > 500
+    assert estimate.status == "non-finite values seen" and not math.isfinite(estimate.mean)
+    assert estimate.status in estimate.summary() and "nan" in str(estimate)
+    each = mc.integrate_each(mc.Integrand(lambda u, item: jnp.where(item == 1, jnp.nan, u[0]), 1), 3, n=100)
+    assert each.nonfinite == 100 and np.isnan(each.mean).tolist() == [False, True, False]
+
+
+# Progress and words.
+
+
+def test_progress_counts_samples():
+    calls = []
+    mc.integrate(tree, dim=2, n=N, chunk=1, progress=lambda done, total: calls.append((done, total)))
+    done, total = np.array(calls).T
+    assert (np.diff(done) > 0).all() and done[-1] == N and (total == N).all() and len(done) == -(-N // driver.BLOCK)
+    calls.clear()
+    f = mc.Integrand(tree_of_item, 2, (2.0,))
+    mc.integrate_each(f, 700, n=70, progress=lambda done, total: calls.append((done, total)), chunk=1)
+    done, total = np.array(calls).T
+    assert (np.diff(done) > 0).all() and done[-1] == 49_000 and (total == 49_000).all()
+
+
+def test_progress_bars_have_a_title(capsys):
+    mc.integrate(tree, dim=2, n=1000, chunk=1, progress="white furnace")
+    assert "white furnace: 100%" in capsys.readouterr().err
+    mc.integrate(tree, dim=2, n=1000, chunk=1, progress=True)
+    assert "100%" in capsys.readouterr().err
+    for silent in (None, False):
+        mc.integrate(tree, dim=2, n=1000, chunk=1, progress=silent)
+        assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "words"),
+    [
+        (0.266123, 8e-5, "0.26612(8)"),
+        (0.266123, 1.4e-4, "0.26612(14)"),
+        (0.266123, 1.96e-4, "0.2661(2)"),
+        (0.2661, 9.7e-5, "0.26610(10)"),
+        (0.2661, 1e-5, "0.266100(10)"),
+        (-0.5, 0.03, "-0.50(3)"),
+        (0.1, 3.0, "0(3)"),
+        (1234.4, 20.0, "1234(20)"),
+        (123456.0, 1500.0, "123456(1500)"),
+        (1e10, 1e6, "1e+10 +- 1e+06"),
+        (1e-20, 1e-22, "1e-20 +- 1e-22"),
+        (0.5, 0.0, "0.5"),
+        (0.125, math.nan, "0.125"),
+        (math.nan, 1.0, "nan"),
+        (1.0, math.inf, "1"),
+    ],
+)
+def test_errors_are_of_the_last_digits(value, error, words):
+    assert with_error(value, error) == words
+
+
+@given(st.floats(-1e4, 1e4), st.floats(-9.0, 4.0).map(lambda x: 10.0**x))
+@settings(max_examples=300, deadline=None, derandomize=True)
+def test_errors_read_back(value, error):
+    whole, fraction, last = re.fullmatch(r"(-?\d+)\.?(\d*)\((\d+)\)", with_error(value, error)).groups()
+    unit = 10.0 ** -len(fraction)
+    assert abs(float(f"{whole}.{fraction or 0}") - value) <= 0.51 * unit
+    shown = int(last) * unit
+    assert abs(shown - error) <= 0.27 * error
+    assert len(last.rstrip("0")) <= 2
+
+
+def test_estimates_speak():
+    estimate = mc.integrate(lambda u: u[0], dim=1, n=10_000)
+    assert re.fullmatch(r"0\.\d+\(\d+\)", str(estimate))
+    assert "n = 10,000" in estimate.summary() and "complete" in estimate.summary()
+    assert estimate.recipe == {"key": 0, "sampler": "Independent()", "n": 10_000} and estimate.seconds > 0.0
+    assert str(mc.integrate(lambda u: (u[0], u), dim=2, n=100)).count("(") == 3
+    assert "array(2, 3)" in str(mc.integrate(lambda u: u.reshape(2, 3), dim=6, n=100))
+    lower, upper = estimate.interval(0.95)
+    assert upper - estimate.mean == pytest.approx(estimate.mean - lower) == pytest.approx(1.95996 * estimate.stderr)
+    assert estimate.interval(0.5)[0] > lower
+    with pytest.raises(KeyError):
+        estimate["tail"]
+
+
+# Mistakes.
+
+
+def one(u):
+    return u[0]
+
+
+ONE = mc.Integrand(one, 1)
+VECTOR = partial(mc.integrate, lambda u: u, dim=2, n=10)
+MISTAKES = [
+    *[(f"n={n!r}", partial(mc.integrate, ONE, n=n), "n must be") for n in (0, -1, 2.5, True, None, "9", 2**63)],
+    *[(f"each n={n!r}", partial(mc.integrate_each, ONE, 3, n=n), "n must be") for n in (0, 2.5)],
+    *[(f"items={n!r}", partial(mc.integrate_each, ONE, n, n=3), "items must be") for n in (0, -1, 1.0)],
+    *[(f"chunk={c!r}", partial(mc.integrate, ONE, n=10, chunk=c), "chunk must be") for c in (0, -5, 1.5)],
+    *[(f"key={k!r}", partial(mc.integrate, ONE, n=10, key=k), "key must be") for k in (-1, 2**64, "a", 1.0, True)],
+    ("draw key", partial(mc.draw, ONE, n=3, key=-1), "key must be"),
+    ("no dim", partial(mc.integrate, one, n=10), "dimension"),
+    ("family without a dim", partial(mc.integrate_each, one, 3, n=10), "dimension"),
+    ("other dim", partial(mc.integrate, ONE, dim=2, n=10), "contradicts"),
+    *[(f"dim={d!r}", partial(mc.Integrand, one, d), "dim must be") for d in (0, -1, 1.0, True, None)],
+    ("no function", partial(mc.Integrand, 3, 1), "must be a function"),
+    ("draw neither", partial(mc.draw, ONE), "either n"),
+    ("draw both", partial(mc.draw, ONE, n=2, indices=[1]), "either n"),
+    ("draw n=0", partial(mc.draw, ONE, n=0), "n must be"),
+    *[(f"indices={i!r}", partial(mc.draw, ONE, indices=i), "indices") for i in ([-1], [0.5], [[1]], [2**64], [True])],
+    *[
+        (f"thresholds={t!r}", partial(mc.ClampLadder, t), "thresholds must be")
+        for t in ((), (0.0, 1.0), (2.0, 1.0), (1.0, 1.0), (-1.0,), (1.0, math.inf), (math.nan,), ((1.0,),))
+    ],
+    *[(f"k={k!r}", partial(mc.TopSamples, k), "k >= 1") for k in (0, -3)],
+    *[(f"order={o!r}", partial(mc.Moments, order=o), "orders") for o in (1, 5, None)],
+    ("vector in a histogram", partial(VECTOR, tallies={"tail": mc.TailHistogram()}), "of=mc.luminance"),
+    ("vector in top samples", partial(VECTOR, tallies={"top": mc.TopSamples()}), "TopSamples needs one number"),
+    ("vector in a ladder", partial(VECTOR, tallies={"c": mc.ClampLadder((1.0,))}), "ClampLadder needs one number"),
+    *[
+        (f"level={level}", lambda level=level: mc.integrate(ONE, n=2).interval(level), "level must lie")
+        for level in (0.0, 1.0, 2.0, -0.5)
+    ],
+]
+
+
+@pytest.mark.parametrize(("call", "match"), [m[1:] for m in MISTAKES], ids=[m[0] for m in MISTAKES])
+def test_mistakes_are_refused(call, match):
+    with pytest.raises(ValueError, match=re.escape(match)):
+        call()
