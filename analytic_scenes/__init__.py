@@ -50,7 +50,7 @@ def _all() -> tuple[AnalyticScene, ...]:
 
 
 __all__ = [
-    "ALL",  # noqa: F822 (made by __getattr__)
+    "ALL",
     "AnalyticScene",
     "corner_rectangle_irradiance",
     "critical_albedo",

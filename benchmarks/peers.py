@@ -1,5 +1,6 @@
 """Other renderers as processes that take a scene and render it on request; see ``mitsuba_cornell.py``."""
 
+import contextlib
 import json
 import subprocess
 from pathlib import Path
@@ -23,7 +24,8 @@ class Peer:
         return self
 
     def __exit__(self, *error):
-        self._process.stdin.close()
+        with contextlib.suppress(BrokenPipeError):  # it may have ended before
+            self._process.stdin.close()
         self._process.wait()
 
     def load(self, parts, width, height, bounces):
@@ -37,11 +39,9 @@ class Peer:
         return answer["seconds"], np.load(answer["file"])
 
     def _ask(self, message):
-        try:
+        with contextlib.suppress(BrokenPipeError):  # a process that has ended answers nothing, and said why on stderr
             self._process.stdin.write(json.dumps(message) + "\n")
             self._process.stdin.flush()
-        except BrokenPipeError:
-            pass  # the process has ended, and what it had to say is on stderr
         line = self._process.stdout.readline()
         answer = json.loads(line) if line else {"error": f"its process ended with status {self._process.wait()}"}
         if "error" in answer:

@@ -8,32 +8,32 @@ from . import backend
 
 backend.configure()
 
-from . import analysis as analysis  # noqa: E402
-from .integration.draw import draw as draw  # noqa: E402
-from .integration.driver import integrate as integrate  # noqa: E402
-from .integration.driver import integrate_each as integrate_each  # noqa: E402
-from .integration.estimate import Estimate as Estimate  # noqa: E402
-from .integration.integrand import Integrand as Integrand  # noqa: E402
-from .integration.moments import Moments as Moments  # noqa: E402
-from .integration.samplers import Independent as Independent  # noqa: E402
-from .integration.tallies import ClampLadder as ClampLadder  # noqa: E402
-from .integration.tallies import Histogram as Histogram  # noqa: E402
-from .integration.tallies import TailHistogram as TailHistogram  # noqa: E402
-from .integration.tallies import TopSamples as TopSamples  # noqa: E402
-from .transport.camera import PinholeCamera as PinholeCamera  # noqa: E402
-from .transport.debug import replay as replay  # noqa: E402
-from .transport.integrands import intersect as intersect  # noqa: E402
-from .transport.integrands import irradiance as irradiance  # noqa: E402
-from .transport.integrands import path_integrand as path_integrand  # noqa: E402
-from .transport.integrands import path_throughput as path_throughput  # noqa: E402
-from .transport.integrands import radiance as radiance  # noqa: E402
-from .transport.integrands import render as render  # noqa: E402
-from .transport.materials import Diffuse as Diffuse  # noqa: E402
-from .transport.materials import Mirror as Mirror  # noqa: E402
-from .transport.materials import luminance as luminance  # noqa: E402
-from .transport.paths import clamp_luminance as clamp_luminance  # noqa: E402
-from .transport.primitives import Quad as Quad  # noqa: E402
-from .transport.primitives import Sphere as Sphere  # noqa: E402
-from .transport.scene import Scene as Scene  # noqa: E402
+from . import analysis as analysis
+from .integration.draw import draw as draw
+from .integration.driver import integrate as integrate
+from .integration.driver import integrate_each as integrate_each
+from .integration.estimate import Estimate as Estimate
+from .integration.integrand import Integrand as Integrand
+from .integration.moments import Moments as Moments
+from .integration.samplers import Independent as Independent
+from .integration.tallies import ClampLadder as ClampLadder
+from .integration.tallies import Histogram as Histogram
+from .integration.tallies import TailHistogram as TailHistogram
+from .integration.tallies import TopSamples as TopSamples
+from .transport.camera import PinholeCamera as PinholeCamera
+from .transport.debug import replay as replay
+from .transport.integrands import intersect as intersect
+from .transport.integrands import irradiance as irradiance
+from .transport.integrands import path_integrand as path_integrand
+from .transport.integrands import path_throughput as path_throughput
+from .transport.integrands import radiance as radiance
+from .transport.integrands import render as render
+from .transport.materials import Diffuse as Diffuse
+from .transport.materials import Mirror as Mirror
+from .transport.materials import luminance as luminance
+from .transport.paths import clamp_luminance as clamp_luminance
+from .transport.primitives import Quad as Quad
+from .transport.primitives import Sphere as Sphere
+from .transport.scene import Scene as Scene
 
 __version__ = "0.1.0"

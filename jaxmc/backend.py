@@ -11,11 +11,9 @@ backend yet. Both flags are read once, when the backend starts:
 
 import functools
 import os
-import platform
 import warnings
 
 import jax
-import jax.numpy as jnp
 import jaxlib
 import numpy as np
 from jax._src import xla_bridge

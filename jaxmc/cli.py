@@ -26,7 +26,9 @@ def _parser():
     parser.add_argument("--version", action="version", version=f"jaxmc {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    study = commands.add_parser("study", help="run a study and write its report").add_subparsers(required=True, metavar="STUDY")
+    study = commands.add_parser("study", help="run a study and write its report").add_subparsers(
+        required=True, metavar="STUDY"
+    )
     mirror = study.add_parser("mirror-box", help="why the mirror box sparkles, and what clamping costs")
     mirror.add_argument("--spp", type=int, default=4096, help="samples per pixel of the reference (default 4096)")
     mirror.set_defaults(run=_study_mirror_box)

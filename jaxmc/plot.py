@@ -71,7 +71,12 @@ def clamp_variance(ax, t, variance, unclamped):
     """Draw the variance of one clamped sample, mean over pixels."""
     ax.plot(t, variance, color="#54278f", marker=".", lw=1.2, label="clamped")
     ax.axhline(unclamped, color="0.4", ls=":", lw=1, label="unclamped")
-    ax.set(xscale="log", yscale="log", xlabel="clamping threshold t (luminance)", ylabel="variance of one sample, mean over pixels")
+    ax.set(
+        xscale="log",
+        yscale="log",
+        xlabel="clamping threshold t (luminance)",
+        ylabel="variance of one sample, mean over pixels",
+    )
     ax.legend(fontsize=8)
     ax.grid(alpha=0.3)
 
@@ -86,7 +91,9 @@ def clamp_mse(ax, t, mse_by_n, unclamped_by_n, optimum_by_n, fixed):
     ax.axvline(fixed, color="0.4", ls="--", lw=1, label=f"t = {fixed:g}")
     ax.plot([], [], "o", color="0.3", mfc="none", label="best t*(N)")
     ax.plot([], [], ":", color="0.3", label="unclamped")
-    ax.set(xscale="log", yscale="log", xlabel="clamping threshold t (luminance)", ylabel="mean squared error of a pixel")
+    ax.set(
+        xscale="log", yscale="log", xlabel="clamping threshold t (luminance)", ylabel="mean squared error of a pixel"
+    )
     ax.legend(fontsize=8)
     ax.grid(alpha=0.3)
 
@@ -117,7 +124,9 @@ def throughput_law(ax, curve, exact, label):
 def panels(count, columns=2, size=(5.2, 3.8)):
     """Return a figure and its Axes."""
     rows = -(-count // columns)
-    fig, axes = plt.subplots(rows, columns, figsize=(size[0] * columns, size[1] * rows), squeeze=False, layout="constrained")
+    fig, axes = plt.subplots(
+        rows, columns, figsize=(size[0] * columns, size[1] * rows), squeeze=False, layout="constrained"
+    )
     for ax in axes.flat[count:]:
         ax.axis("off")
     return fig, axes.ravel()[:count]

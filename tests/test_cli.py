@@ -23,7 +23,7 @@ def test_mirror_box_leaves_report_and_figures(small_mirror_box):
     html = page.read_text()
     names = {p.stem for p in page.parent.glob("*.png")}
     assert names == {"images", "caustic", "exceedance", "firefly_map", "clamping", "convergence"}
-    assert html.count("data:image/png;base64,") == len(names) and "src=\"http" not in html
+    assert html.count("data:image/png;base64,") == len(names) and 'src="http' not in html
     assert report["seed"] == 3 and report["versions"]["jax"] and report["machine"]["cores"]
 
 

@@ -5,7 +5,16 @@ from typing import NamedTuple
 import numpy as np
 
 from ..integration.tallies import Histogram, Largest
-from .tails import Interval, TailFit, Wait, clopper_pearson, effective_sample_size, expected_wait, largest_shares, pareto_khat
+from .tails import (
+    Interval,
+    TailFit,
+    Wait,
+    clopper_pearson,
+    effective_sample_size,
+    expected_wait,
+    largest_shares,
+    pareto_khat,
+)
 
 SHARES = (1, 10, 100)
 

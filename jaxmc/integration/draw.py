@@ -21,7 +21,7 @@ class Samples(NamedTuple):
 
 
 def draw(f, *, dim=None, n=None, indices=None, key=0, sampler=Independent()) -> Samples:
-    """Return the samples that ``integrate`` with the same key and sampler takes: the first ``n``, or those at ``indices``.
+    """Return samples that ``integrate`` takes with the same key and sampler: the first ``n``, or those at ``indices``.
 
     Raises:
         ValueError: neither or both of ``n`` and ``indices``, or an index out of [0, 2^64).

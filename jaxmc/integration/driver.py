@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from operator import itemgetter
 from typing import NamedTuple
 
 import jax
@@ -23,8 +24,8 @@ from tqdm import tqdm
 from .. import backend
 from .estimate import Estimate
 from .integrand import Integrand, as_integrand
-from .samplers import Independent, Index, index_words, seed_words
 from .moments import Moments
+from .samplers import Independent, Index, index_words, seed_words
 
 LANES = 256  # samples side by side: a component of all of them is 1 KiB, and a path's state fits the L1 cache
 ROWS = 64
@@ -123,6 +124,7 @@ def _item_job(start, n, items, tiles):
 
 
 def _run(integrand, jobs, n, samples, items, key, sampler, tallies, progress, workers):
+    backend.check_arithmetic()
     tallies = {"moments": Moments(order=2 if items else 4), **(tallies or {})}
     static = tuple(tallies.items())
     seed = jnp.asarray(seed_words(key))
@@ -165,7 +167,7 @@ def _fold(tally, state, record, job, items):
     else:
         for tile in range(len(job.offset)):
             if job.rows[tile, 0] > 0:
-                tally.add(state, jax.tree.map(lambda x: x[tile], record))  # noqa: B023
+                tally.add(state, jax.tree.map(itemgetter(tile), record))
 
 
 def _point_value(integrand, sampler, seed, index, *item):
@@ -179,9 +181,7 @@ def _value_shape(integrand, sampler, each):
     return jax.eval_shape(lambda f, *args: _point_value(f, sampler, *args), integrand, seed, Index(word, word), *item)
 
 
-@partial(
-    jax.jit, static_argnames=("sampler", "tallies", "each"), compiler_options=backend.KERNEL_OPTIONS
-)
+@partial(jax.jit, static_argnames=("sampler", "tallies", "each"), compiler_options=backend.KERNEL_OPTIONS)
 def _evaluate(integrand, seed, base, offset, rows, *, sampler, tallies, each):
     """Return the records of every tally for each tile (leading axis ``tiles``) and a value, for its structure."""
     shape = _value_shape(integrand, sampler, each)

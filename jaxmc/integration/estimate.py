@@ -94,7 +94,7 @@ def _stderr(m: MomentsResult):
 
 
 def with_error(value: float, error: float) -> str:
-    """Return ``0.26612(8)``: the error, to one digit, is of the last digit shown (two digits where it starts with 1)."""
+    """Return ``0.26612(8)``: the error is of the last digit shown (of the last two where it starts with 1)."""
     if not (math.isfinite(value) and math.isfinite(error)) or error <= 0.0:
         return f"{value:.8g}"
     digits = 1 if error / 10.0 ** math.floor(math.log10(error)) >= 1.95 else 2

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .moments import apply
+from .moments import apply, block_sum
 
 BINS_PER_OCTAVE = 8
 BIN_BITS = 20  # bits of a float32 below the exponent and the leading three mantissa bits
@@ -58,7 +58,8 @@ class TailHistogram:
     def reduce(self, values, valid, axes):
         c = _scalar(self, values).astype(jnp.float32)
         bits = lax.bitcast_convert_type(c, jnp.uint32)
-        finite, negative = jnp.isfinite(c), c < 0.0
+        # Look at the sign bit: the CPU may take a negative denormal for 0.
+        finite, negative = jnp.isfinite(c), bits > jnp.uint32(1 << 31)
         keep = valid & finite & ~negative
         rest = bits & jnp.uint32((1 << BIN_BITS) - 1)
         rho = rest.astype(jnp.float32) * 2.0**-BIN_BITS
@@ -67,9 +68,13 @@ class TailHistogram:
         # Send what is not kept to a spare bin behind the last one.
         bin_index = jnp.where(keep, (bits >> BIN_BITS) & 0x7FF, BINS).astype(jnp.int32) + cell * (BINS + 1)
         cells = -(-c.shape[0] // CELL_ROWS)
-        add_up = lambda x: jax.ops.segment_sum(x.ravel(), bin_index.ravel(), cells * (BINS + 1)).reshape(cells, -1)
+
+        def add_up(x):
+            sums = jax.ops.segment_sum(x.ravel(), bin_index.ravel(), cells * (BINS + 1))
+            return sums.reshape(cells, -1)[:, :BINS]
+
         return {
-            "sums": jnp.stack([add_up(jnp.ones_like(rest)), add_up(rest), add_up(square)])[..., :BINS],
+            "sums": jnp.stack([add_up(jnp.ones_like(rest)), add_up(rest), add_up(square)]),
             "n": valid.sum(),
             "nonfinite": (valid & ~finite).sum(),
             "negative": (valid & finite & negative).sum(),
@@ -133,7 +138,7 @@ class TopSamples:
     def init(self, record, items=()):
         return {"value": np.zeros(0), "index": np.zeros(0, np.uint64), "least": -np.inf, "n": 0}
 
-    def add(self, state, record, where=..., index=None):
+    def add(self, state, record, where=..., *, index):
         # Keep whatever could still be among the largest; sort only when the list has grown.
         chosen = np.flatnonzero(record["value"] >= max(state["least"], np.finfo(np.float64).min))
         state["value"] = np.append(state["value"], record["value"].ravel()[chosen])
@@ -205,7 +210,7 @@ class ClampLadder:
         for t in self.thresholds:
             kept = jnp.where(valid, jnp.minimum(c, t), 0.0)
             excess = jnp.where(valid, jnp.maximum(c - t, 0.0), 0.0)
-            sums.append(jnp.stack([x.sum(axes) for x in (kept, kept * kept, excess, excess * excess)], -1))
+            sums.append(jnp.stack([block_sum(x, axes) for x in (kept, kept * kept, excess, excess * excess)], -1))
         return {"sums": jnp.stack(sums, -2), "n": valid.sum(axes)}
 
     def init(self, record, items=()):

@@ -89,7 +89,9 @@ def run(folder, settings: Settings = Settings()) -> Path:
     khat = _show_fireflies(report, scene, camera, settings, reference, calm)
     image = _show_clamping(report, reference, khat)
     _show_convergence(report, reference, ladder, image)
-    report.values({"seconds of sampling": sampling_seconds, "paths": total, "paths per second": total / sampling_seconds})
+    report.values(
+        {"seconds of sampling": sampling_seconds, "paths": total, "paths per second": total / sampling_seconds}
+    )
     return report.save()
 
 
@@ -114,10 +116,14 @@ def _show_images(report, settings, reference, calm, calm16, ladder):
     few, many = ladder[16][0], ladder[max(ladder)][0]
     report.section("The scene")
     report.text(
-        "A box, a green diffuse sphere and a second sphere, lit by one small light of radiance 500 that the camera does "
-        "not see directly. With the second sphere **diffuse**, 16 samples per pixel are calm. With a **mirror** the image "
-        "sparkles: a diffuse bounce rarely hits the one direction that leads over the mirror to the light, and when it "
-        "does, the sample is worth hundreds. Light sampling does not help: no shadow ray goes over a mirror. The lamp's own "
+        "A box, a green diffuse sphere and a second sphere, lit by one small light of radiance 500 that the "
+        "camera does "
+        "not see directly. With the second sphere **diffuse**, 16 samples per pixel are calm. With a **mirror** "
+        "the image "
+        "sparkles: a diffuse bounce rarely hits the one direction that leads over the mirror to the light, and "
+        "when it "
+        "does, the sample is worth hundreds. Light sampling does not help: no shadow ray goes over a mirror. The "
+        "lamp's own "
         "image in the mirror is left out: it is light seen directly, without noise."
     )
     pictures = {
@@ -135,7 +141,8 @@ def _show_images(report, settings, reference, calm, calm16, ladder):
     factor = float(f"{1.0 / np.quantile(luminance(smooth), 0.999):.1g}")
     pictures = {"what clamping took away": lost, f"mean of 7 x 7 pixels, {factor:g} times as bright": factor * smooth}
     caption = (
-        f"Unclamped minus clamped at {CLAMP:g}, {settings.spp} spp: all light that goes over the mirror, and with it the "
+        f"Unclamped minus clamped at {CLAMP:g}, {settings.spp} spp: all light that goes over the mirror, and with "
+        f"it the "
         f"caustic under and beside the sphere. It is {energy:.1%} of the image's light."
     )
     report.figure(plot.images(pictures), "caustic", caption)
@@ -149,13 +156,16 @@ def _show_fireflies(report, scene, camera, settings, reference, calm):
     report.values({f"fireflies: {name}": value for name, value in result._asdict().items()})
     fig, (ax,) = plot.panels(1, 1, (6.0, 4.2))
     plot.exceedance(ax, tails.exceedance(reference["tail"]), FIREFLY)
-    report.figure(fig, "exceedance", "How often a sample exceeds t. The steps are the atoms 500 times a product of albedos.")
+    report.figure(
+        fig, "exceedance", "How often a sample exceeds t. The steps are the atoms 500 times a product of albedos."
+    )
 
     rate = gaussian_filter(reference["firefly"][0].mean[..., 0], 2.0)
     fig, (ax,) = plot.panels(1, 1, (7.0, 4.4))
     plot.heat_map(ax, rate * 1e3, "fireflies in 1000 samples, smoothed over 2 pixels")
     caption = (
-        f"Where on the image paths with a sample of {FIREFLY:g} or more start. Surfaces that see the mirror sphere sparkle; "
+        f"Where on the image paths with a sample of {FIREFLY:g} or more start. Surfaces that see the mirror "
+        f"sphere sparkle; "
         "behind the green sphere, as seen from the mirror, lies a shadow without fireflies."
     )
     report.figure(fig, "firefly_map", caption)
@@ -163,7 +173,9 @@ def _show_fireflies(report, scene, camera, settings, reference, calm):
     top = reference["top"]
     chosen = _largest_of_each_line(scene, camera, settings, top)
     rows = [[p.index, p.pixel, float(luminance(np.asarray(p.value))), p.line] for p in chosen]
-    caption = "Large samples, most valuable first. `jaxmc replay mirror-box --sample INDEX` prints a path vertex by vertex."
+    caption = (
+        "Large samples, most valuable first. `jaxmc replay mirror-box --sample INDEX` prints a path vertex by vertex."
+    )
     report.table(["sample index", "pixel", "luminance", "path"], rows, caption)
     report.value("largest sample, replayed", str(chosen[0]))
     # A tail of atoms is bounded by the largest: its variance is finite, and a band may be drawn.
@@ -199,9 +211,12 @@ def _show_clamping(report, reference, khat):
     plot.clamp_mse(axes[2], image.threshold, mse, unclamped, best, CLAMP)
     report.section("What clamping costs")
     report.text(
-        "All three curves come from one pass over the samples. Left: the mean luminance that clamping at t takes away, with "
-        "a band that holds for all t at once. Middle: what it buys. Right: the two together, for the mean squared error of "
-        "a pixel of N samples; bias is squared pixel by pixel, since squares of pixels do not follow from the image's mean. "
+        "All three curves come from one pass over the samples. Left: the mean luminance that clamping at t takes "
+        "away, with "
+        "a band that holds for all t at once. Middle: what it buys. Right: the two together, for the mean squared "
+        "error of "
+        "a pixel of N samples; bias is squared pixel by pixel, since squares of pixels do not follow from the "
+        "image's mean. "
         "A fixed threshold is right for one N only: its error stops falling at the square of its bias."
     )
     report.figure(fig, "clamping", f"{band.note} N-sample errors: mean over pixels, luminance.")
@@ -224,7 +239,10 @@ def _show_convergence(report, reference, ladder, image):
 
     def measured(pick):
         return np.array(
-            [np.mean([convergence.image_error(luminance(pick(e)), truth, noise) for e in runs]) for runs in ladder.values()]
+            [
+                np.mean([convergence.image_error(luminance(pick(e)), truth, noise) for e in runs])
+                for runs in ladder.values()
+            ]
         )
 
     unclamped, clamped = measured(lambda e: e.mean), measured(lambda e: e["clamped"][0].mean)
@@ -239,16 +257,24 @@ def _show_convergence(report, reference, ladder, image):
     report.section("Error against samples and time")
     report.text(
         "Independent renders against the reference, whose own variance is taken off. Unclamped, the error falls as "
-        "N^(-1/2), with jumps where a rare bright sample comes in. Clamped, it starts far lower and then stays: what is left "
+        "N^(-1/2), with jumps where a rare bright sample comes in. Clamped, it starts far lower and then stays: "
+        "what is left "
         "is bias. The lines are no fits: they are predicted from the one pass over the reference's samples."
     )
-    caption = "Root mean squared error of a pixel's luminance, mean of up to 16 renders for each N; slopes by least squares."
+    caption = (
+        "Root mean squared error of a pixel's luminance, mean of up to 16 renders for each N; slopes by least squares."
+    )
     report.figure(fig, "convergence", caption)
     rows = [
         [int(k), len(ladder[k]), float(s), *(float(x[i]) for c in curves.values() for x in c[:2])]
         for i, (k, s) in enumerate(zip(n, seconds, strict=True))
     ]
-    headers = ["N", "renders", "seconds", *(f"{word}, {label}" for label in curves for word in ("RMS error", "predicted"))]
+    headers = [
+        "N",
+        "renders",
+        "seconds",
+        *(f"{word}, {label}" for label in curves for word in ("RMS error", "predicted")),
+    ]
     report.table(headers, rows)
     report.values({f"slope, {label}": rate._asdict() for label, (_, _, rate) in curves.items()})
 

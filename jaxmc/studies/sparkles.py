@@ -1,7 +1,7 @@
 """Why long paths sparkle: uniform against cosine-weighted directions in a box with a narrow gap under its ceiling.
 
-With uniform directions each bounce multiplies throughput by 2 albedo cos(theta), a number up to 2 albedo; after k bounces
-in a closed scene of one albedo it is a product of k independent factors, whose law is known in closed form. With
+With uniform directions each bounce multiplies throughput by 2 albedo cos(theta), up to 2 albedo; after k bounces in a
+closed scene of one albedo it is a product of k independent factors, whose law is known in closed form. With
 cosine-weighted directions it is the product of albedos, always.
 """
 
@@ -35,7 +35,8 @@ GAP = 0.499  # height of the lamp; the ceiling is at 0.5
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Options of the study: paths searched for the extreme one and used for the moments, samples per pixel of images."""
+    """Options of the study: paths searched for the extreme one and used for the moments, samples per pixel of "
+    "images."""
 
     paths: int = 1 << 24
     spp: int = 128
@@ -80,7 +81,8 @@ def run(folder, settings: Settings = Settings()) -> Path:
     with Stages(2 * settings.paths // 4 + pixels * (search + 6 * settings.spp), settings.progress) as stages:
         images = {
             (d, k): render(
-                closed_scene, closed_camera, spp=settings.spp, bounces=k, directions=d, lights="none", key=_key(settings, 1),
+                closed_scene, closed_camera, spp=settings.spp, bounces=k, directions=d, lights="none",
+                key=_key(settings, 1),
                 tallies={"tail": TailHistogram(luminance), "top": TopSamples(8192, luminance)},
                 progress=stages.stage(f"{d}, {k} bounces"),
             )
@@ -106,7 +108,13 @@ def extreme_path(index, seed) -> debug.Path:
     """Replay a path of the search for the extreme one."""
     scene, camera = sparkle_box()
     return debug.replay(
-        scene, camera, index, key=_key(Settings(seed=seed), 2), bounces=max(LENGTHS), directions="uniform", lights="none"
+        scene,
+        camera,
+        index,
+        key=_key(Settings(seed=seed), 2),
+        bounces=max(LENGTHS),
+        directions="uniform",
+        lights="none",
     )
 
 
@@ -126,10 +134,14 @@ def _throughput_moments(settings, scene, camera, directions, stages):
 def _show_images(report, settings, images):
     report.section("Sparkles come with path length")
     report.text(
-        f"A closed white box of albedo {ALBEDO} with a lamp 0.001 below its ceiling, by path tracing without light sampling. "
-        "Above: directions drawn **uniformly** over the hemisphere. Below: **cosine-weighted**. The longer the paths, the "
-        "more sparkles above; below there are none. For paths without end the uniform tail is a power law whose exponent "
-        f"is known: k-hat would tend to {1.0 / tail_index(ALBEDO):.2f}, and above albedo 0.866 the variance is infinite."
+        f"A closed white box of albedo {ALBEDO} with a lamp 0.001 below its ceiling, by path tracing without "
+        f"light sampling. "
+        "Above: directions drawn **uniformly** over the hemisphere. Below: **cosine-weighted**. The longer the "
+        "paths, the "
+        "more sparkles above; below there are none. For paths without end the uniform tail is a power law whose "
+        "exponent "
+        f"is known: k-hat would tend to {1.0 / tail_index(ALBEDO):.2f}, and above albedo 0.866 the variance is "
+        f"infinite."
     )
     pictures = {f"{d}, {k} bounces": e.mean for (d, k), e in images.items()}
     caption = f"{settings.spp} samples per pixel, the same for all; gamma 1/2.2."
@@ -140,10 +152,28 @@ def _show_images(report, settings, images):
         result = firefly_report(e["tail"], e["top"], 16.0)
         mean, stderr = luminance(e.mean).mean(), np.sqrt((luminance(e.stderr) ** 2).sum()) / e.mean[..., 0].size
         rows.append(
-            [d, k, mean, stderr, result.maximum, f"{result.shares[100]:.2%}", f"{result.tail.khat:.2f}", result.tail.status]
+            [
+                d,
+                k,
+                mean,
+                stderr,
+                result.maximum,
+                f"{result.shares[100]:.2%}",
+                f"{result.tail.khat:.2f}",
+                result.tail.status,
+            ]
         )
         report.value(f"fireflies, {d}, {k} bounces", result)
-    headers = ["directions", "bounces", "mean luminance", "stderr", "largest sample", "share of largest 100", "k-hat", "tail"]
+    headers = [
+        "directions",
+        "bounces",
+        "mean luminance",
+        "stderr",
+        "largest sample",
+        "share of largest 100",
+        "k-hat",
+        "tail",
+    ]
     report.table(headers, rows, "Both ways estimate the same mean; one of them does not know it.")
 
 
@@ -156,7 +186,8 @@ def _show_extreme(report, settings, top, searched):
     report.text(
         "An open Cornell-like box, whose ceiling and lamp reflect 0.99. "
         f"Of {searched:,} paths of up to {max(LENGTHS)} bounces, the one whose throughput grew most reached "
-        f"**{top.value[0]:.5g}**, at vertex {peak + 1}; {in_gap} of its first {peak + 1} vertices lie in the gap between lamp "
+        f"**{top.value[0]:.5g}**, at vertex {peak + 1}; {in_gap} of its first {peak + 1} vertices lie in the gap "
+        f"between lamp "
         f"and ceiling (y from {GAP} to 0.5). `jaxmc replay sparkles --sample {top.index[0]}` prints it again."
     )
     rows = [[i, v.primitive, *map(float, v.point), v.throughput] for i, v in enumerate(path.vertices[: peak + 1], 1)]
@@ -169,8 +200,9 @@ def _show_extreme(report, settings, top, searched):
 def _show_moments(report, closed):
     report.section("Throughput against its exact law")
     report.text(
-        f"The closed box again. After k uniform bounces throughput is the product of "
-        "k independent factors 2 albedo U: its q-th moment is ((2 albedo)^q / (q + 1))^k. Where a moment rests on paths rarer "
+        "The closed box again. After k uniform bounces throughput is the product of "
+        "k independent factors 2 albedo U: its q-th moment is ((2 albedo)^q / (q + 1))^k. Where a moment rests on "
+        "paths rarer "
         "than the sample, the estimate falls short and its error bar with it: the tail that matters has not been seen."
     )
     rows, law = [], {k: ThroughputProduct(k, ALBEDO) for k in LENGTHS}
@@ -179,7 +211,8 @@ def _show_moments(report, closed):
         for q in range(1, 5):
             exact = {"uniform": law[k].moment(q), "cosine": ALBEDO ** (k * q)}
             measured = [
-                (float(m.mean[i, q - 1]), float(np.sqrt(m.variance[i, q - 1] / m.n[i, q - 1]))) for m in moments.values()
+                (float(m.mean[i, q - 1]), float(np.sqrt(m.variance[i, q - 1] / m.n[i, q - 1])))
+                for m in moments.values()
             ]
             rows.append([k, q, float(exact["uniform"]), *measured[0], float(exact["cosine"]), *measured[1]])
     headers = ["bounces", "q", "exact, uniform", "measured", "stderr", "exact, cosine", "measured", "stderr"]

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from .primitives import as_vec3, is_concrete
+from .primitives import as_vec3, is_concrete, is_number
 from .shapes import Ray, ray
 from .vec import Vec3, cross, dot, normalize
 
@@ -54,17 +54,23 @@ def PinholeCamera(origin, target, up=(0.0, 1.0, 0.0), fov=40.0, width=256, heigh
     for name, value in (("width", width), ("height", height)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 < value <= 1 << 15:
             raise ValueError(f"PinholeCamera {name} must be an integer from 1 to {1 << 15}, got {value!r}")
-    if not (np.shape(fov) == () and is_concrete(fov) and 0.0 < fov < 180.0):
+    if not (is_number(fov) and 0.0 < fov < 180.0):
         raise ValueError(f"PinholeCamera fov must lie between 0 and 180 degrees, got {fov!r}")
-    origin, target, up = (as_vec3(f"PinholeCamera {k}", v) for k, v in (("origin", origin), ("target", target), ("up", up)))
+    origin, target, up = (
+        as_vec3(f"PinholeCamera {k}", v) for k, v in (("origin", origin), ("target", target), ("up", up))
+    )
     forward = target - origin
     right = cross(forward, up)
     if is_concrete((forward, right)) and not dot(right, right) > 1e-12 * dot(forward, forward) * dot(up, up):
-        raise ValueError("PinholeCamera looks along its up direction, or origin and target coincide; change up or target")
+        raise ValueError(
+            "PinholeCamera looks along its up direction, or origin and target coincide; change up or target"
+        )
     forward = forward / dot(forward, forward) ** 0.5
     right = right / dot(right, right) ** 0.5
     tangent = math.tan(math.radians(float(fov)) / 2.0)
     down = cross(forward, right) * tangent
     right = right * (tangent * width / height)
-    vectors: Any = [Vec3(*(np.asarray(c, np.float64) if is_concrete(c) else c for c in v)) for v in (origin, right, down, forward)]
+    vectors: Any = [
+        Vec3(*(np.asarray(c, np.float64) if is_concrete(c) else c for c in v)) for v in (origin, right, down, forward)
+    ]
     return Camera(*vectors, int(width), int(height))

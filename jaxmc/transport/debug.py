@@ -2,6 +2,7 @@
 
 import itertools
 from functools import partial
+from operator import itemgetter
 from typing import NamedTuple
 
 import jax
@@ -97,7 +98,10 @@ def replay(scene: Scene, camera: Camera, indices, *, key=0, sampler=Independent(
     pixels = np.asarray(several, np.uint64) % np.uint64(camera.width * camera.height)
     seen = _replay(integrand, jnp.asarray(seed_words(key)), index_words(several), pixels.astype(np.uint32), sampler)
     seen = jax.tree.map(np.asarray, seen)
-    paths = [_path(scene, camera, i, p, jax.tree.map(lambda x: x[k], seen)) for k, (i, p) in enumerate(zip(several, pixels))]  # noqa: B023 E501
+    paths = []
+    for k, (index, pixel) in enumerate(zip(several, pixels, strict=True)):
+        value, direct, events = jax.tree.map(itemgetter(k), seen)
+        paths.append(_path(scene, camera, index, pixel, value, direct, events or {"primitive": ()}))
     return paths[0] if np.ndim(indices) == 0 else paths
 
 
@@ -121,10 +125,9 @@ def _replay(integrand, seed, words, pixels, sampler):
     return jax.vmap(one)(words, pixels)
 
 
-def _path(scene, camera, index, pixel, seen) -> Path:
-    value, direct, events = seen
+def _path(scene, camera, index, pixel, value, direct, events) -> Path:
     vertices, throughput, collected = [], 1.0, float(direct)
-    for k in range(0 if events is None else len(events["primitive"])):
+    for k in range(len(events["primitive"])):
         primitive = int(events["primitive"][k])
         if primitive < 0:
             break

@@ -1,5 +1,6 @@
 """What is asked of a scene: the image of a camera, the radiance along a ray, the irradiance at a point."""
 
+import copy
 import dataclasses
 from typing import NamedTuple
 
@@ -15,7 +16,20 @@ from ..integration.samplers import Independent
 from . import shapes
 from .camera import Camera
 from .materials import luminance
-from .paths import Hit, PathState, Strategy, Surface, black, closest_hit, finish, follow, scatter, surface_at, trace
+from .paths import (
+    Hit,
+    PathState,
+    Strategy,
+    Surface,
+    black,
+    closest_hit,
+    finish,
+    follow,
+    primitive_at,
+    scatter,
+    surface_at,
+    trace,
+)
 from .primitives import as_vec3, is_concrete
 from .scene import Scene
 from .vec import Vec3, normalize
@@ -64,7 +78,7 @@ def irradiance(scene: Scene, point, normal, *, bounces, directions="cosine", lig
     """Return the irradiance at a point as an integrand; options as ``path_integrand``.
 
     ``bounces`` counts scattering events between light and point: 0 is direct light alone. The receiver is not part of
-    the scene. ``normal`` may have any length.
+    the scene; one that lies on a primitive, to rounding, is not shadowed by it. ``normal`` may have any length.
     """
     _check(scene, Scene, "scene", "mc.Scene([...])")
     strategy = Strategy(bounces, directions, lights, clamp)
@@ -81,7 +95,7 @@ def render(
     Path options as in ``path_integrand``, the rest as in ``integrate``.
 
     Returns:
-        An ``Estimate`` whose mean, variance and stderr have shape ``(height, width, 3)``: radiance, linear, not clipped.
+        An ``Estimate`` whose mean, variance and stderr have shape ``(height, width, 3)``: radiance, not clipped.
         ``Moments`` among ``tallies`` come back in that shape too.
     """
     integrand = path_integrand(
@@ -105,11 +119,14 @@ def path_throughput(scene: Scene, camera: Camera, *, events, directions="cosine"
     The value has shape ``(len(events),)``; it is 0 where the path has left the scene before. Options and coordinates
     as in ``path_integrand`` with ``lights="none"``.
     """
-    if not events or not all(isinstance(k, int) and k > 0 for k in events):
-        raise ValueError(f"events must be positive integers, got {events!r}")
+    numbers = tuple(events) if np.ndim(events) == 1 else ()
+    if not numbers or not all(isinstance(k, int | np.integer) and k > 0 for k in numbers):
+        raise ValueError(f"events must be a list of positive integers, got {events!r}")
     _check(scene, Scene, "scene", "mc.Scene([...])")
-    strategy = Strategy(max(events), directions, "none")
-    return _integrand(_Throughput(strategy, tuple(events)), scene, (camera,), ("film: x", "film: y"))
+    _check(camera, Camera, "camera", "mc.PinholeCamera(...)")
+    numbers = tuple(map(int, numbers))
+    strategy = Strategy(max(numbers), directions, "none")
+    return _integrand(_Throughput(strategy, numbers), scene, (camera,), ("film: x", "film: y"))
 
 
 class Intersection(NamedTuple):
@@ -122,19 +139,27 @@ class Intersection(NamedTuple):
     normal: jax.Array
 
 
-@jax.jit
 def intersect(scene: Scene, origins, directions) -> Intersection:
-    """Return the closest hits of rays: ``origins`` and ``directions`` of shape (n, 3), directions of any length."""
+    """Return the closest hits of rays: ``origins`` and ``directions`` of shape (n, 3), directions of any length.
+
+    Raises:
+        ValueError: arrays of other shapes, or a scene that is none.
+    """
+    _check(scene, Scene, "scene", "mc.Scene([...])")
     if np.shape(origins) != np.shape(directions) or np.shape(origins)[1:] != (3,):
         raise ValueError(f"rays must be two arrays of shape (n, 3), got {np.shape(origins)} and {np.shape(directions)}")
+    return _intersect(scene, jnp.asarray(origins, float), jnp.asarray(directions, float))
 
+
+@jax.jit
+def _intersect(scene, origins, directions):
     def one(origin, direction):
         ray = shapes.ray(Vec3(*origin), normalize(Vec3(*direction)))
         hit = closest_hit(scene, ray)
         surface = surface_at(scene, ray, hit)
         return Intersection(hit.distance, hit.primitive, jnp.stack(surface.point), jnp.stack(surface.normal))
 
-    return jax.vmap(one)(jnp.asarray(origins, float), jnp.asarray(directions, float))
+    return jax.vmap(one)(origins, directions)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -164,7 +189,7 @@ class _Throughput(_Film):
             return jnp.where(surface.primitive >= 0, luminance(after.beta), 0.0)
 
         _, throughput = trace(scene, self.strategy, u, 2, self.start(u, camera, pixel), observe)
-        return throughput[jnp.array(self.events) - 1]
+        return jnp.asarray(throughput)[jnp.array(self.events) - 1]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,11 +210,12 @@ class _Receiver:
 
     def __call__(self, u, scene, point, normal):
         one = jnp.ones(()) if scene.channels == 1 else Vec3(*[jnp.ones(())] * 3)
-        # The receiver is no primitive of the scene: it has a number that no primitive has.
-        surface = Surface(point, normal, one, scene.size)
+        surface = Surface(point, normal, one, primitive_at(scene, point))
         nowhere = PathState(shapes.ray(point, normal), Hit(jnp.inf, -1), one, black(scene), None)
         everything = tuple(range(scene.size))
-        state = scatter(scene, self.strategy, u, 0, surface, nowhere, everything)
+        around = copy.copy(scene)
+        around.mirrors = ()  # the receiver is no mirror, whatever it lies on
+        state = scatter(around, self.strategy, u, 0, surface, nowhere, everything)
         first = len(self.strategy.coordinates(scene))
         radiance, _ = follow(scene, self.strategy, u, first, state, self.strategy.bounces)
         return finish(self.strategy, jax.tree.map(lambda x: x * np.pi, radiance))

@@ -16,7 +16,7 @@ from jax import lax
 
 from . import shapes
 from .materials import luminance, pdf_diffuse, power_heuristic, reflect, sample_diffuse
-from .primitives import is_concrete
+from .primitives import is_number
 from .scene import Scene
 from .shapes import LightSample, QuadLight, Ray
 from .vec import Vec3, dot, where
@@ -36,10 +36,12 @@ class Strategy:
         if isinstance(self.bounces, bool) or not isinstance(self.bounces, int | np.integer) or self.bounces < 0:
             raise ValueError(f"bounces must be an integer >= 0, got {self.bounces!r}; 0 is emission seen directly")
         for name, known in (("directions", ("cosine", "uniform")), ("lights", ("mis", "nee", "none"))):
-            if getattr(self, name) not in known:
+            if not isinstance(getattr(self, name), str) or getattr(self, name) not in known:
                 raise ValueError(f"{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
-        if self.clamp is not None and not (is_concrete(self.clamp) and 0.0 < self.clamp < np.inf):
-            raise ValueError(f"clamp must be a positive luminance or None, got {self.clamp!r}")
+        if self.clamp is not None:
+            if not (is_number(self.clamp) and 0.0 < self.clamp < np.inf):
+                raise ValueError(f"clamp must be a positive luminance or None, got {self.clamp!r}")
+            object.__setattr__(self, "clamp", float(self.clamp))
 
     def without_bounces(self) -> "Strategy":
         """Return the strategy of paths that see emission directly only."""
@@ -103,6 +105,16 @@ def _distance(scene, i, ray, own):
     return shapes.intersect_sphere(scene.spheres[i], ray, own == i)
 
 
+def primitive_at(scene: Scene, point):
+    """Return the primitive on which a point lies, to rounding, or ``scene.size``, which no primitive has."""
+    found = scene.size
+    for i in range(scene.size):
+        quad, sphere = scene.quads[i], scene.spheres[i]
+        on = shapes.is_on_sphere(sphere, point) if quad is None else shapes.is_on_quad(quad, point)
+        found = jnp.where(on, i, found)
+    return found
+
+
 def unoccluded(scene: Scene, ray: Ray, length, own, target, casters):
     """Return whether no caster but ``own`` and ``target`` cuts the first ``length`` of the ray."""
     free = True
@@ -140,12 +152,13 @@ def emission_toward(scene: Scene, ray: Ray, hit: Hit, pdf):
     ``pdf`` is the density of the ray's direction; None where lights are not sampled, and the weight is 1.
     """
     total = black(scene)
+    distance = jnp.where(hit.primitive < 0, 1.0, hit.distance)
     for i, (light, radiance) in zip(scene.lights, scene.emitters, strict=True):
-        inverse = _inverse_pdf(light, ray, hit.distance)
+        inverse = _inverse_pdf(light, ray, distance)
         shines = (hit.primitive == i) & (inverse > 0.0)
         if pdf is not None:
-            # The density of picking this light and the point the ray has met, against the density of the ray.
-            weight = power_heuristic(1.0 / pdf, 1.0 / (inverse * len(scene.lights)))
+            # What sampling this light leaves over, had it picked the light and the point that the ray has met.
+            weight = 1.0 - power_heuristic(inverse * len(scene.lights), pdf)
             total = total + where(shines, radiance * weight, black(scene))
         else:
             total = total + where(shines, radiance, black(scene))
@@ -157,14 +170,16 @@ def _inverse_pdf(light, ray, distance):
     return inverse(light, ray.origin, ray.direction, distance)
 
 
-def sample_light(scene: Scene, point, u1, u2, pick) -> tuple[LightSample, Any, Any]:
-    """Return a sample of one light, its radiance, and its primitive; ``pick`` is the coordinate that picks it."""
+def sample_light(scene: Scene, point, own, u1, u2, pick) -> tuple[LightSample, Any, Any]:
+    """Return a sample of one light from a point on primitive ``own``, its radiance, and its primitive; ``pick`` is the
+    coordinate that picks the light.
+    """
     count = len(scene.lights)
     chosen = 0 if count == 1 else jnp.minimum((pick * count).astype(jnp.int32), count - 1)
     result = None
     for k, (i, (light, radiance)) in enumerate(zip(scene.lights, scene.emitters, strict=True)):
         sample = shapes.sample_quad_light if isinstance(light, QuadLight) else shapes.sample_sphere_light
-        one = (sample(light, point, u1, u2), radiance, i)
+        one = (sample(light, point, own == i, u1, u2), radiance, i)
         result = one if result is None else jax.tree.map(lambda a, b, k=k: jnp.where(chosen == k, a, b), one, result)
     drawn, radiance, primitive = result
     return drawn._replace(inverse_pdf=drawn.inverse_pdf * count), radiance, primitive
@@ -177,7 +192,7 @@ def black(scene):
 def _direct_light(scene, strategy, surface, u, first, casters):
     """Return radiance times BRDF over density of one sampled light, albedo left out."""
     pick = u[first + 4] if len(scene.lights) > 1 else None
-    light, radiance, target = sample_light(scene, surface.point, u[first + 2], u[first + 3], pick)
+    light, radiance, target = sample_light(scene, surface.point, surface.primitive, u[first + 2], u[first + 3], pick)
     cosine = dot(surface.normal, light.wi)
     toward = shapes.ray(surface.point, light.wi)
     visible = (cosine > 0.0) & (light.inverse_pdf > 0.0) & (surface.primitive >= 0)

@@ -10,6 +10,9 @@ from .materials import Diffuse, Mirror
 from .vec import Vec3
 
 
+GREY = Diffuse()
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sphere:
     """A sphere.
@@ -18,7 +21,7 @@ class Sphere:
         center: three coordinates.
         radius: positive.
         material: ``Diffuse`` or ``Mirror``.
-        emission: radiance that leaves the surface along its normal, not along its back: a number, an RGB triple or None.
+        emission: radiance that leaves on the side of the normal, none on the back: a number, an RGB triple or None.
         inward: the normal points to the centre, so a light shines inward.
 
     Raises:
@@ -27,7 +30,7 @@ class Sphere:
 
     center: Any
     radius: Any
-    material: Any = Diffuse()
+    material: Any = GREY
     emission: Any = None
     inward: bool = False
 
@@ -46,7 +49,7 @@ class Quad:
         edge_u: from the corner to its neighbour.
         edge_v: from the corner to its other neighbour. The normal is along ``cross(edge_u, edge_v)``.
         material: ``Diffuse`` or ``Mirror``.
-        emission: radiance that leaves the surface along its normal, not along its back: a number, an RGB triple or None.
+        emission: radiance that leaves on the side of the normal, none on the back: a number, an RGB triple or None.
 
     Raises:
         ValueError: a value of the wrong shape or range, one that is not finite, or a parallelogram without area.
@@ -55,7 +58,7 @@ class Quad:
     corner: Any
     edge_u: Any
     edge_v: Any
-    material: Any = Diffuse()
+    material: Any = GREY
     emission: Any = None
 
     def __post_init__(self):
@@ -76,6 +79,19 @@ def is_concrete(tree) -> bool:
     return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
+def is_number(value) -> bool:
+    """Return whether ``value`` is one known real number."""
+    return shape_of(value) == () and is_concrete(value) and np.asarray(value).dtype.kind in "iuf"
+
+
+def shape_of(value):
+    """Return the shape of an array, or of a list in which there may be traced numbers; None where rows differ."""
+    if not isinstance(value, list | tuple):
+        return np.shape(value)
+    shapes = {shape_of(v) for v in value}
+    return (len(value), *shapes.pop()) if len(shapes) == 1 and None not in shapes else None
+
+
 def as_vec3(name: str, value) -> Vec3:
     """Return three numbers as a ``Vec3``, or raise ``ValueError``."""
     _check_vector(name, value)
@@ -84,9 +100,9 @@ def as_vec3(name: str, value) -> Vec3:
 
 def as_color(name: str, value) -> tuple:
     """Return a radiance or reflectance as (r, g, b), or raise ``ValueError`` naming ``name``."""
-    shape = np.shape(value)
+    shape = shape_of(value)
     if shape not in ((), (3,)):
-        raise ValueError(f"{name} must be a number or an RGB triple, got shape {shape}")
+        raise ValueError(f"{name} must be a number or an RGB triple, got {value!r}")
     if not is_concrete(value):
         return (value,) * 3 if shape == () else tuple(value[k] for k in range(3))
     color = np.broadcast_to(_numbers(name, value), 3)
@@ -112,21 +128,23 @@ def reflectance_of(material):
 
 
 def _check_vector(name, value):
-    if np.shape(value) != (3,):
+    if shape_of(value) != (3,):
         raise ValueError(f"{name} must be three numbers (x, y, z), got {value!r}")
     if is_concrete(value) and not np.isfinite(_numbers(name, value)).all():
         raise ValueError(f"{name} must be finite, got {value!r}")
 
 
 def _check_number(name, value, above):
-    if np.shape(value) != ():
+    if shape_of(value) != () or (is_concrete(value) and not is_number(value)):
         raise ValueError(f"{name} must be one number, got {value!r}")
-    if is_concrete(value) and not (np.isfinite(_numbers(name, value)) and value > above):
+    if is_concrete(value) and not (np.isfinite(value) and value > above):
         raise ValueError(f"{name} must be finite and greater than {above:g}, got {value!r}")
 
 
 def _numbers(name, value):
     try:
+        if np.asarray(value).dtype.kind == "U":
+            raise TypeError("text, not numbers")
         return np.asarray(value, np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} must be made of numbers, got {value!r}") from error

@@ -8,8 +8,8 @@ While JAX traces (a scene built inside a function under ``jax.grad``) values are
 """
 
 import dataclasses
+from collections.abc import Iterable
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -80,6 +80,8 @@ class Scene:
     _static = ("channels", "shapes", "lights", "mirrors", "casters")
 
     def __init__(self, primitives, sky=None):
+        if not isinstance(primitives, Iterable):
+            raise ValueError(f"a scene is made of a list of mc.Sphere and mc.Quad objects, got {primitives!r}")
         primitives = list(primitives)
         for p in primitives:
             if not isinstance(p, Sphere | Quad):
@@ -101,15 +103,16 @@ class Scene:
         shape = [_quad_shape(f, r) if f else _sphere_shape(p) for p, f, r in zip(primitives, frames, rounding)]
         self.quads = tuple(number(s) if isinstance(s, QuadShape) else None for s in shape)
         self.spheres = tuple(number(s) if isinstance(s, SphereShape) else None for s in shape)
-        flat = [f.normal if f else Vec3(0.0, 0.0, 0.0) for f in frames]
-        center = [f.center if f else s.center for f, s in zip(frames, shape)]
+        nowhere = Vec3(0.0, 0.0, 0.0)
+        flat = [f.normal if f else nowhere for f in frames] or [nowhere]
+        center = [f.center if f else s.center for f, s in zip(frames, shape)] or [nowhere]
         self.normal = number(_lookups(flat))
         self.anchor = number(_lookups(center))
-        has_sphere = "sphere" in self.shapes
-        self.inverse_radius = number(lookup([0.0 if f else _sign(p) / p.radius for p, f in zip(primitives, frames)])) if has_sphere else None  # fmt: skip
+        curvature = [0.0 if f else _sign(p) / p.radius for p, f in zip(primitives, frames, strict=True)]
+        self.inverse_radius = number(lookup(curvature)) if "sphere" in self.shapes else None
         self.inset = number(lookup([2.0 * r for r in rounding]))
         self.reflectance = number(_lookups([self._color(c) for c in colors]))
-        lights = [frames[i] or SphereLight(*_sphere_shape(primitives[i]), _sign(primitives[i])) for i in self.lights]
+        lights = [frames[i] or SphereLight(*_sphere_shape(primitives[i]), primitives[i].inward) for i in self.lights]
         self.emitters = number([(light, self._color(radiances[i])) for i, light in zip(self.lights, lights)])
         self.sky = number(self._color(sky)) if sky and not (is_concrete(sky) and max(sky) == 0.0) else None
 
@@ -179,7 +182,8 @@ def _without_zeros(v):
 
 
 def _sphere_shape(sphere: Sphere) -> SphereShape:
-    return SphereShape(as_vec3("center", sphere.center), sphere.radius)
+    radius = float(sphere.radius) if is_concrete(sphere.radius) else sphere.radius
+    return SphereShape(as_vec3("center", sphere.center), radius)
 
 
 def _extent(primitives):

@@ -75,6 +75,26 @@ def intersect_quad(quad: QuadShape, ray: Ray, own):
     return jnp.where(hit, distance, jnp.inf)
 
 
+def is_on_quad(quad: QuadShape, point):
+    """Return whether a point lies on a parallelogram, to rounding."""
+    terms = [a * b for a, b in zip(quad.normal, point) if a is not None] if quad.axis is None else [point[quad.axis]]
+    height = sum(terms) - quad.offset
+    u = _sparse_dot(quad.row_u, point) - (0.0 if quad.offset_u is None else quad.offset_u)
+    v = _sparse_dot(quad.row_v, point) - (0.0 if quad.offset_v is None else quad.offset_v)
+    return _is_rounding(height, [quad.offset, *terms]) & (jnp.maximum(jnp.abs(u), jnp.abs(v)) <= quad.limit)
+
+
+def is_on_sphere(sphere: SphereShape, point):
+    """Return whether a point lies on a sphere, to rounding."""
+    to_center = sphere.center - point
+    height = jnp.sqrt(dot(to_center, to_center)) - sphere.radius
+    return _is_rounding(height, [sphere.radius, *sphere.center, *point])
+
+
+def _is_rounding(height, terms):
+    return jnp.abs(height) <= 8.0 * float(jnp.finfo(jnp.result_type(float)).eps) * sum(map(jnp.abs, terms))
+
+
 def _row(row, offset, ray, distance):
     at_origin = _sparse_dot(row, ray.origin)
     at_origin = at_origin if offset is None else at_origin - offset
@@ -95,7 +115,7 @@ def intersect_sphere(sphere: SphereShape, ray: Ray, own):
     to_center = sphere.center - ray.origin
     nearest = dot(to_center, ray.direction)
     offset = to_center - ray.direction * nearest
-    half_chord = jnp.sqrt(sphere.radius * sphere.radius - dot(offset, offset))  # NaN for a miss
+    half_chord = root(sphere.radius * sphere.radius - dot(offset, offset))  # NaN for a miss
     near = nearest - half_chord
     distance = jnp.where(near > 0.0, near, nearest + half_chord)
     # From its own surface the other end of the chord is twice as far as the centre's foot point.
@@ -137,8 +157,8 @@ class QuadLight(NamedTuple):
     area: Any
 
 
-def sample_quad_light(light: QuadLight, point, u1, u2) -> LightSample:
-    """Sample a point of the parallelogram uniformly by area, seen from ``point``."""
+def sample_quad_light(light: QuadLight, point, own, u1, u2) -> LightSample:
+    """Sample a point of the parallelogram uniformly by area, seen from ``point``; ``own`` is not used."""
     target = light.center + light.half_u * (2.0 * u1 - 1.0) + light.half_v * (2.0 * u2 - 1.0)
     to_light = target - point
     squared = dot(to_light, to_light)
@@ -153,46 +173,64 @@ def inverse_pdf_quad_light(light: QuadLight, point, wi, distance):
     return jnp.maximum(-dot(light.normal, wi), 0.0) * light.area / (distance * distance)
 
 
-class SphereLight(NamedTuple):
-    """What sampling a sphere by solid angle needs; ``sign`` is 1 where it shines outward and -1 inward."""
+@partial(jax.tree_util.register_dataclass, data_fields=["center", "radius"], meta_fields=["inward"])
+@dataclasses.dataclass(frozen=True)
+class SphereLight:
+    """What sampling a sphere by solid angle needs; ``inward``: it shines on what is inside it."""
 
     center: Vec3
     radius: Any
-    sign: Any
+    inward: bool
 
 
-def sample_sphere_light(light: SphereLight, point, u1, u2) -> LightSample:
+def sample_sphere_light(light: SphereLight, point, own, u1, u2) -> LightSample:
     """Sample a direction uniformly in the cone of the sphere, or over all directions from inside it.
 
-    Source: Shirley, Wang & Zimmerman 1996; pbrt, section 6.2.4.
+    ``own``: the point is on the sphere. Source: Shirley, Wang & Zimmerman 1996; pbrt, section 6.2.4.
     """
     to_center = light.center - point
     squared = dot(to_center, to_center)
     axis = to_center * jnp.sqrt(1.0 / squared)
-    one_minus_cos, visible = _cone(light, squared)
+    one_minus_cos, visible = _cone(light, squared, own)
     z = 1.0 - u1 * one_minus_cos
-    radius = jnp.sqrt(jnp.maximum(u1 * one_minus_cos * (1.0 + z), 0.0))
+    radius = root(jnp.maximum(u1 * one_minus_cos * (1.0 + z), 0.0))
     sine, cosine = sincos_2pi(u2)
     tangent, bitangent = frame(axis)
     wi = tangent * (radius * cosine) + bitangent * (radius * sine) + axis * z
     nearest = dot(to_center, wi)
     offset = to_center - wi * nearest
-    half_chord = jnp.sqrt(jnp.maximum(light.radius * light.radius - dot(offset, offset), 0.0))
-    return LightSample(wi, nearest - light.sign * half_chord, jnp.where(visible, 2.0 * np.pi * one_minus_cos, 0.0))
+    half_chord = root(jnp.maximum(light.radius * light.radius - dot(offset, offset), 0.0))
+    distance = nearest + half_chord if light.inward else nearest - half_chord
+    return LightSample(wi, distance, jnp.where(visible, 2.0 * np.pi * one_minus_cos, 0.0))
 
 
 def inverse_pdf_sphere_light(light: SphereLight, point, wi, distance):
     """Return 1 / density per solid angle of ``sample_sphere_light`` from ``point``, 0 where its inside is dark."""
     to_center = light.center - point
-    one_minus_cos, visible = _cone(light, dot(to_center, to_center))
-    at_light = to_center - wi * distance
-    return jnp.where(visible & (light.sign * dot(at_light, wi) > 0.0), 2.0 * np.pi * one_minus_cos, 0.0)
+    # A hit of the inside tells that the point is inside.
+    one_minus_cos, visible = _cone(light, dot(to_center, to_center), True)
+    falling = dot(to_center - wi * distance, wi)
+    return jnp.where(visible & (falling < 0.0 if light.inward else falling > 0.0), 2.0 * np.pi * one_minus_cos, 0.0)
 
 
-def _cone(light, squared):
+def _cone(light, squared, own):
     """Return 1 - cos of the cone's half angle (2 for an inward light), and whether the light can be seen."""
+    if light.inward:
+        return 2.0, own | (squared < light.radius * light.radius)
     sin2 = light.radius * light.radius / squared
-    outside = sin2 < 1.0
-    cone = sin2 / (1.0 + jnp.sqrt(jnp.maximum(1.0 - sin2, 0.0)))
-    inward = light.sign < 0.0
-    return jnp.where(inward, 2.0, cone), inward | outside
+    return sin2 / (1.0 + root(jnp.maximum(1.0 - sin2, 0.0))), sin2 < 1.0
+
+
+@jax.custom_jvp
+def root(x):
+    """Return the square root of ``x``, NaN below 0, with derivative 0 where it is 0 or NaN.
+
+    The branches that a ray does not take stay NaN or infinite; their derivative would turn the others' into NaN.
+    """
+    return jnp.sqrt(x)
+
+
+@root.defjvp
+def _root_derivative(x, tangent):
+    y = jnp.sqrt(x[0])
+    return y, tangent[0] * jnp.where(y > 0.0, 0.5 / jnp.where(y > 0.0, y, 1.0), 0.0)

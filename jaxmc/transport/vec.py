@@ -8,7 +8,6 @@ Keep the vector on the left of a product: ``v * s``, not ``s * v``.
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import lax
 
 
 class Vec3(NamedTuple):
