@@ -113,6 +113,7 @@ class _PowerSums:
     def zeros(cls, shape, order):
         return cls(np.zeros(shape), np.zeros(shape), np.zeros((order, *shape)), np.zeros((order, *shape)))
 
+    @np.errstate(all="ignore")  # samples that are not finite make sums that are not: that is said by their number
     def add(self, leaf, where):
         n, mean, scale = (np.asarray(leaf[k], np.float64) for k in ("count", "mean", "scale"))
         scaled, factor = [], 1.0
@@ -137,6 +138,7 @@ class _PowerSums:
                 self.carry[k, where] += (total - (new - part)) + (x - part)
             self.total[k, where] = new
 
+    @np.errstate(all="ignore")
     def merge(self, other):
         self.center = np.where(self.n == 0, other.center, self.center)
         self._accumulate(..., _shift(other.n, other.total + other.carry, other.center - self.center))

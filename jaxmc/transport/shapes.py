@@ -71,7 +71,7 @@ def intersect_quad(quad: QuadShape, ray: Ray, own):
         distance = (quad.offset - ray.origin[quad.axis]) * ray.inverse[quad.axis]
     u = _row(quad.row_u, quad.offset_u, ray, distance)
     v = _row(quad.row_v, quad.offset_v, ray, distance)
-    hit = (distance > 0.0) & (jnp.maximum(jnp.abs(u), jnp.abs(v)) <= quad.limit) & ~own
+    hit = (distance > 0.0) & (jnp.maximum(jnp.abs(u), jnp.abs(v)) <= quad.limit) & jnp.logical_not(own)
     return jnp.where(hit, distance, jnp.inf)
 
 
