@@ -68,10 +68,11 @@ def run(folder, settings: Settings = Settings()) -> Path:
     scene, camera = mirror_box(True, settings.width, settings.height)
     calm_scene, _ = mirror_box(False, settings.width, settings.height)
     pixels = camera.width * camera.height
-    total = pixels * (settings.spp + settings.spp // 2 + sum(n * settings.replicates(n) for n in settings.ladder) + 17)
+    total = pixels * (settings.spp + settings.spp // 2 + sum(n * settings.replicates(n) for n in settings.ladder) + 33)
     with Stages(total, settings.progress) as stages:
         shoot = partial(_shoot, camera, settings, stages)
         reference = shoot(scene, settings.spp, 0, "mirror reference", _all_tallies())
+        few = shoot(scene, 16, 4, "mirror, 16 spp", _all_tallies())
         calm = shoot(calm_scene, settings.spp // 2, 1, "diffuse reference")
         calm16 = shoot(calm_scene, 16, 2, "diffuse, 16 spp")
         # Compile before the timed renders.
@@ -85,9 +86,9 @@ def run(folder, settings: Settings = Settings()) -> Path:
         }
         sampling_seconds = stages.seconds
 
-    _show_images(report, settings, reference, calm, calm16, ladder)
-    khat = _show_fireflies(report, scene, camera, settings, reference, calm)
-    image = _show_clamping(report, reference, khat)
+    _show_images(report, settings, reference, few, calm, calm16, ladder)
+    tail = _show_fireflies(report, scene, camera, settings, reference, few)
+    image = _show_clamping(report, reference, tail)
     _show_convergence(report, reference, ladder, image)
     report.values(
         {"seconds of sampling": sampling_seconds, "paths": total, "paths per second": total / sampling_seconds}
@@ -111,9 +112,9 @@ def _shoot(camera, settings, stages, scene, spp, stream, title, tallies=None):
     return render(scene, camera, spp=spp, **PATHS, key=key, tallies=tallies, progress=progress)
 
 
-def _show_images(report, settings, reference, calm, calm16, ladder):
+def _show_images(report, settings, reference, few, calm, calm16, ladder):
     clamped = reference["clamped"][0].mean
-    few, many = ladder[16][0], ladder[max(ladder)][0]
+    many = ladder[max(ladder)][0]
     report.section("The scene")
     report.text(
         "A box, a green diffuse sphere and a second sphere, lit by one small light of radiance 500 that the "
@@ -149,10 +150,14 @@ def _show_images(report, settings, reference, calm, calm16, ladder):
     report.value("energy lost to clamping at 3", energy)
 
 
-def _show_fireflies(report, scene, camera, settings, reference, calm):
+def _show_fireflies(report, scene, camera, settings, reference, few):
     result = firefly_report(reference["tail"], reference["top"], FIREFLY)
+    early = firefly_report(few["tail"], few["top"], FIREFLY)
     report.section("Fireflies")
-    report.table(["of the mirror scene's samples", "value"], result.rows(), "The firefly report.")
+    rows = [[name, before, now] for (name, before), (_, now) in zip(early.rows(), result.rows(), strict=True)]
+    headers = ["of the mirror scene's samples", f"{few.n} per pixel", f"{reference.n} per pixel"]
+    report.table(headers, rows, "The firefly report, early and late. Only the late one knows how the tail ends.")
+    report.values({f"fireflies at 16 spp: {name}": value for name, value in early._asdict().items()})
     report.values({f"fireflies: {name}": value for name, value in result._asdict().items()})
     fig, (ax,) = plot.panels(1, 1, (6.0, 4.2))
     plot.exceedance(ax, tails.exceedance(reference["tail"]), FIREFLY)
@@ -178,8 +183,7 @@ def _show_fireflies(report, scene, camera, settings, reference, calm):
     )
     report.table(["sample index", "pixel", "luminance", "path"], rows, caption)
     report.value("largest sample, replayed", str(chosen[0]))
-    # A tail of atoms is bounded by the largest: its variance is finite, and a band may be drawn.
-    return 0.0 if result.tail.status == "atomic" else result.tail.khat
+    return result.tail
 
 
 def _largest_of_each_line(scene, camera, settings, top):
@@ -194,9 +198,13 @@ def _largest_of_each_line(scene, camera, settings, top):
     return kept[:LISTED]
 
 
-def _show_clamping(report, reference, khat):
+def _show_clamping(report, reference, tail):
     curve = clamping.clamp_curve(reference["tail"])
-    band = clamping.bias_band(curve, khat=khat)
+    # A tail of atoms is bounded by the largest of them: its variance is finite, and the band holds.
+    atomic = tail.status == "atomic"
+    band = clamping.bias_band(curve, khat=0.0 if atomic else tail.khat)
+    if atomic:
+        band = band._replace(note="The tail is made of atoms: bounded, so the band holds.")
     sums = reference["ladder"]
     y = luminance(reference.mean).reshape(-1)
     image = clamping.image_curve(
