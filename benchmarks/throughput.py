@@ -56,7 +56,7 @@ def main():
         found["first_call"]["overhead"] = found["first_call"]["seconds"] - found["throughput"]["jaxmc"]["seconds"]
         print(f"  first call: {found['first_call']['overhead']:.2f} s more, which compiles the kernel")
         if peers and not options.skip_agreement:
-            found["agreement"] = {scene[0]: agreement(peers[0], *scene) for scene in COMPARED}
+            found["agreement"] = {scene[0]: agreement(peers[0], options.seed, *scene) for scene in COMPARED}
     found |= {"peers": [peer.about for peer in peers], "machine": machine(), "versions": versions()}
     RESULTS.parent.mkdir(exist_ok=True)
     RESULTS.write_text(json.dumps(found, indent=1, default=float) + "\n")
@@ -68,6 +68,7 @@ def arguments():
     parser.add_argument("--rounds", type=int, default=7, help="renders of each peer")
     parser.add_argument("--spp", type=int, default=64, help="samples per pixel")
     parser.add_argument("--size", type=int, default=256, help="width and height of the image in pixels")
+    parser.add_argument("--seed", type=int, default=1000, help="first seed of the comparison; others are other samples")
     parser.add_argument("--skip-agreement", action="store_true", help="only time; the comparison takes some minutes")
     parser.add_argument("--no-scalar", action="store_true", help="leave out Mitsuba's slower variant")
     parser.add_argument("--peers", type=Path, default=ROOT / ".venv-peers/bin/python", help="the Python with Mitsuba")
@@ -148,23 +149,23 @@ def throughput(options, peers):
     return found
 
 
-def agreement(peer, name, parts, build, bounces, spp):
+def agreement(peer, seed, name, parts, build, bounces, spp):
     """Return how images of jaxmc and of a peer compare, and the same for jaxmc and itself with other seeds."""
     scene, camera = build()
     peer.load(parts(), camera.width, camera.height, bounces)
     theirs, ours, own_variance, other, fewer = [], [], [], [], []
     for k in range(SEEDS):
-        theirs.append(peer.render(spp, 1000 + k)[1])
-        estimate = mc.render(scene, camera, spp=spp, bounces=bounces, key=1000 + k)
+        theirs.append(peer.render(spp, seed + k)[1])
+        estimate = mc.render(scene, camera, spp=spp, bounces=bounces, key=seed + k)
         ours.append(estimate.mean)
         own_variance.append(estimate.variance)
-        other.append(mc.render(scene, camera, spp=spp, bounces=bounces, key=2000 + k).mean)
+        other.append(mc.render(scene, camera, spp=spp, bounces=bounces, key=seed + SEEDS + k).mean)
         if k % 4 == 0:
-            fewer.append(mc.render(scene, camera, spp=spp, bounces=bounces - 1, key=3000 + k).mean)
+            fewer.append(mc.render(scene, camera, spp=spp, bounces=bounces - 1, key=seed + 2 * SEEDS + k).mean)
     theirs, ours, own_variance, other, fewer = (
         np.stack([np.asarray(x, np.float32) for x in images]) for images in (theirs, ours, own_variance, other, fewer)
     )
-    found = {"seeds": SEEDS, "spp": spp, "bounces": bounces, **compare(ours, theirs)}
+    found = {"seed": seed, "seeds": SEEDS, "spp": spp, "bounces": bounces, **compare(ours, theirs)}
     found["jaxmc_and_itself"] = compare(ours, other)
     # A comparison that could not fail would say nothing: jaxmc with its last bounce missing.
     found["one_bounce_fewer"] = image_means(fewer, theirs)

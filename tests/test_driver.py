@@ -1,5 +1,6 @@
 """The driver and its tallies against NumPy on the same samples, whatever the way the work is cut."""
 
+import copy
 import dataclasses
 import math
 import re
@@ -43,9 +44,9 @@ def _look_up(u, table):
     return jax.tree.map(lambda column: column[u[0]], table)
 
 
-def integrate_table(table, **options):
-    """Integrate with sample i = table[i], for a table or a pytree of tables of one length."""
-    n = len(jax.tree.leaves(table)[0])
+def integrate_table(table, n=None, **options):
+    """Integrate with sample i = table[i], for a table or a pytree of tables of one length, or only the first n."""
+    n = n or len(jax.tree.leaves(table)[0])
     return mc.integrate(mc.Integrand(_look_up, 1, (table,), lazy=True), n=n, sampler=Counting(), **options)
 
 
@@ -75,9 +76,14 @@ def of_b(values):
     return values["b"]
 
 
+def of_coordinate(values):
+    return values["b"][..., 0]
+
+
 TALLIES = {
     "tail": mc.TailHistogram(of=of_a),
     "top": mc.TopSamples(100, of=of_a),
+    "coordinate": mc.TopSamples(100, of=of_coordinate),
     "clamp": mc.ClampLadder((0.5, 2.0, 10.0), of=of_a),
     "b": mc.Moments(of=of_b, order=3),
 }
@@ -121,25 +127,27 @@ def tree_of_item(u, scale, item):
 def test_families_do_not_depend_on_chunks_or_workers():
     f = mc.Integrand(tree_of_item, 2, (2.0,))
     run = partial(mc.integrate_each, f, 700, n=70, tallies=TALLIES)
-    first = run(chunk=1, workers=1)
-    assert all(same(run(chunk=chunk, workers=workers), first) for chunk in (40_000, 2**20) for workers in (2, 5))
+    narrow = run(chunk=1, workers=1)
+    assert all(same(run(chunk=2**20, workers=workers), narrow) for workers in (1, 5))
 
 
-@dataclasses.dataclass(frozen=True)
-class Ends(mc.Independent):
-    """A sampler whose points are NaN from index ``n`` on."""
-
-    n: int
+class Numbered(mc.Independent):
+    """A sampler whose coordinate 2 is the sample's own index."""
 
     def point(self, seed, index):
-        class Point(NamedTuple):
-            right: object
-            ended: object
+        return NumberedPoint(super().point(seed, index), index.low)
 
-            def __getitem__(self, dimension):
-                return jnp.where(self.ended, jnp.nan, self.right[dimension])
 
-        return Point(super().point(seed, index), (index.high > 0) | (index.low >= self.n))
+class NumberedPoint(NamedTuple):
+    right: object
+    index: jax.Array
+
+    def __getitem__(self, dimension):
+        return self.index if dimension == 2 else self.right[dimension]
+
+
+def tree_up_to(u, end):
+    return jax.tree.map(lambda x: jnp.where(u[2] < end, x, jnp.nan), tree(u))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,32 +160,41 @@ class LeakyMoments(mc.Moments):
 
 @pytest.mark.parametrize("n", [1, 2, 257, 16_385])
 def test_samples_behind_the_last_are_never_seen(n):
-    run = partial(mc.integrate, tree, dim=2, n=n, chunk=1)
-    cut = run(tallies={**TALLIES, "leaky": LeakyMoments()}, sampler=Ends(n))
-    leaky = cut.tallies.pop("leaky")
-    assert cut.nonfinite == 0 and same(cut, run(tallies=TALLIES))
-    assert all(m.n > n for m in np.ravel([m.n for m in leaky][:1])[:0]) and leaky[0].nonfinite > 0
+    def run(end):
+        f = mc.Integrand(tree_up_to, 3, (np.uint32(end),), lazy=True)
+        estimate = mc.integrate(f, n=n, sampler=Numbered(), tallies={**TALLIES, "leaky": LeakyMoments()}, chunk=1)
+        return estimate, estimate.tallies.pop("leaky")[0]
+
+    (right, _), (cut, leaky) = run(2**32 - 1), run(n)
+    assert cut.nonfinite == 0 and same(cut, right)
+    # The rest of the rows that were begun is NaN; rows that nobody wants are not evaluated.
+    assert leaky.n > n and leaky.nonfinite > 0
 
 
 @pytest.mark.parametrize("n", [1, 2, 255, 16_385, 70_001])
 def test_every_index_is_evaluated_once(n):
-    estimate = integrate_table(np.arange(n, dtype=np.float32), tallies={"top": mc.TopSamples(n)}, chunk=40_000)
+    table = np.arange(70_001, dtype=np.float32)
+    estimate = integrate_table(table, n, tallies={"top": mc.TopSamples(70_001)}, chunk=40_000)
     assert estimate.n == estimate.moments[0].n == estimate["top"].n == n
     assert np.array_equal(estimate["top"].index, np.arange(n)[::-1])
     assert np.array_equal(estimate["top"].value, np.arange(n)[::-1])
-    assert estimate.mean == pytest.approx((n - 1) / 2, rel=1e-12)
+    assert estimate.mean == pytest.approx((n - 1) / 2, rel=1e-7)
+
+
+def look_up_item(u, table, items, item):
+    return jnp.where(item < items, table[u[0]], jnp.nan), (u[0] % items).astype(jnp.float32), item
+
+
+def first(values):
+    return values[0]
 
 
 @pytest.mark.parametrize(("items", "n"), [(1, 1), (3, 65), (256, 64), (300, 130)])
 def test_families_number_their_samples(items, n):
-    table = np.random.default_rng(1).normal(size=n * items).astype(np.float32)
-
-    def fn(u, table, item):
-        return jnp.where(item < items, table[u[0]], jnp.nan), (u[0] % items).astype(jnp.float32), item
-
-    f = mc.Integrand(fn, 1, (table,), lazy=True)
-    tallies = {"top": mc.TopSamples(50, of=lambda value: value[0])}
-    estimate = mc.integrate_each(f, items, n=n, sampler=Counting(), tallies=tallies)
+    table = np.random.default_rng(1).normal(size=40_000).astype(np.float32)
+    f = mc.Integrand(look_up_item, 1, (table, np.uint32(items)), lazy=True)
+    estimate = mc.integrate_each(f, items, n=n, sampler=Counting(), tallies={"top": mc.TopSamples(50, of=first)})
+    table = table[: n * items]
     samples = table.astype(np.float64).reshape(n, items)
     mean, remainder, item = estimate.mean
     assert np.allclose(mean, samples.mean(0), rtol=0, atol=1e-7) and estimate.nonfinite == 0
@@ -194,7 +211,7 @@ def test_families_get_points_as_single_integrals_do():
     f = mc.Integrand(lambda u, item: u.sum() + item, 3)
     estimate = mc.integrate_each(f, 2, n=1000)
     values = mc.draw(lambda u: u.sum(), dim=3, n=2000).value.astype(np.float64).reshape(1000, 2)
-    assert np.allclose(estimate.mean, [*values.mean(0), 0, 1], rtol=1e-6)
+    assert np.allclose(estimate.mean, values.mean(0) + np.arange(2), rtol=1e-6)
 
 
 # Long runs.
@@ -211,9 +228,13 @@ def test_jobs_number_their_samples(start):
     assert driver._stream_job(start, start + 2**20, 2).samples == 2 * driver.BLOCK
 
 
+def skew(u):
+    return -jnp.log(u[0]) * u[1]
+
+
 @pytest.mark.parametrize("start", [2**32 - 3000, 2**40])
 def test_kernels_count_across_word_boundaries(start):
-    f = mc.Integrand(lambda u: -jnp.log(u[0]) * u[1], 2)
+    f = mc.Integrand(skew, 2)
     estimate = run_from(start, start + 20_000, f, {"top": mc.TopSamples(300)})
     samples = mc.draw(f, indices=np.arange(start, start + 20_000, dtype=np.uint64))
     order = np.lexsort((samples.index, -samples.value))[:300]
@@ -247,7 +268,6 @@ def test_one_sample():
     assert math.isnan(estimate.variance["a"]) and np.isnan(estimate.stderr["b"]).all()
     assert estimate["tail"].count.sum() == 1 and estimate["top"].n == 1
     assert "nan" not in str(estimate) and estimate.status == "complete"
-    assert mc.integrate_each(mc.Integrand(tree_of_item, 2, (1.0,)), 1, n=1).mean["a"].shape == (1,)
 
 
 # Moments.
@@ -265,7 +285,8 @@ def wrong_moments(result, samples):
         wrong.add("variance")
     for k, central in zip((2, 3, 4), result.central):
         if (
-            np.abs(central - (z**k).mean(0) * sd**k) > 2e-6 * (np.abs(z) ** k).mean(0) * sd**k + 1e-20 * center**k
+            np.abs(central - (z**k).mean(0) * sd**k)
+            > 2e-6 * (np.abs(z) ** k).mean(0) * sd**k + 1e-20 * np.abs(center) ** k
         ).any():
             wrong.add(k)
     return wrong
@@ -283,7 +304,8 @@ TABLES = {
     "both": np.where(NORMAL > 3.0, 1e15, 1e-15),
     "rare": NORMAL > 3.5,
     "constant": np.full(50_001, 0.1),
-    "huge constant": np.full(50_001, -1e30),
+    "largest": 1e37 * NORMAL,
+    "huge constant": np.full(50_001, -3e38),
     "tiny constant": np.full(50_001, 1e-30),
     "zero": np.zeros(50_001),
 }
@@ -301,15 +323,15 @@ def test_moments_are_those_of_numpy(name):
 
 @pytest.mark.parametrize("n", [2, 3, 10])
 def test_moments_of_few_samples(n):
-    assert not wrong_moments(integrate_table(TABLES["heavy tail"][:n]).moments[0], TABLES["heavy tail"][:n])
+    assert not wrong_moments(integrate_table(TABLES["heavy tail"], n).moments[0], TABLES["heavy tail"][:n])
 
 
 def test_moments_keep_the_shape_of_the_value():
-    table = {"x": TABLES["normal"], "y": (RANDOM.random((50_001, 3)), RANDOM.random((50_001, 2, 2)) ** 8)}
+    table = {"x": TABLES["normal"], "y": (np.random.default_rng(2).random((50_001, 2, 3)) ** 8,)}
     table = jax.tree.map(np.float32, table)
     estimate = integrate_table(table)
     assert all(not wrong_moments(m, x) for m, x in zip(estimate.moments, jax.tree.leaves(table), strict=True))
-    shapes = {"x": (), "y": ((3,), (2, 2))}
+    shapes = {"x": (), "y": ((2, 3),)}
     for value in (estimate.mean, estimate.variance, estimate.stderr, *estimate.interval()):
         assert jax.tree.map(np.shape, value) == shapes
     assert isinstance(estimate.mean["x"], float)
@@ -321,20 +343,14 @@ def test_moments_are_those_of_the_drawn_samples(whole):
     assert not wrong_moments(whole.moments[1], samples.value["b"])
     assert not wrong_moments(whole["b"][0], samples.value["b"]) and len(whole["b"][0].central) == 2
     assert whole.mean["a"] == pytest.approx(samples.value["a"].mean(dtype=np.float64), rel=1e-6)
-    u = mc.integrate(lambda u: u, dim=2, n=N).moments[0]
-    assert not wrong_moments(u, samples.u)
 
 
-@pytest.mark.parametrize("dtype", [bool, np.int8, np.uint16, np.int32, np.float16])
-def test_moments_of_any_type_of_number(dtype):
-    table = RANDOM.integers(0, 2 if dtype is bool else 100, 40_000).astype(dtype)
-    assert not wrong_moments(integrate_table(table).moments[0], table)
-
-
-def test_an_indicator_is_a_probability():
-    estimate = mc.integrate(lambda u: u[0] < 0.3, dim=1, n=100_000)
-    assert abs(estimate.mean - 0.3) < 5.0 * np.sqrt(0.3 * 0.7 / 1e5)
-    assert estimate.variance == pytest.approx(estimate.mean * (1.0 - estimate.mean) * 1e5 / (1e5 - 1), rel=1e-6)
+def test_moments_of_any_type_of_number():
+    # An indicator function is a probability.
+    integers = np.random.default_rng(4).integers(0, 100, 40_000)
+    table = {"indicator": integers < 30, "half": integers.astype(np.float16)}
+    result = integrate_table(table).moments
+    assert not any(wrong_moments(m, column) for m, column in zip(result, jax.tree.leaves(table), strict=True))
 
 
 def many_orders(sums):
@@ -374,7 +390,7 @@ def test_mutants_of_moments_fail(monkeypatch):
     for variance in (biased, twice_corrected):
         with monkeypatch.context() as patch:
             patch.setattr(moments.MomentsResult, "variance", property(variance))
-            assert wrong_moments(integrate_table(few).moments[0], few) == {"variance"}
+            assert wrong_moments(integrate_table(TABLES["heavy tail"], 10).moments[0], few) == {"variance"}
     with monkeypatch.context() as patch:
         patch.setattr(moments, "_shift", without_cross_terms)
         assert {"variance", 3, 4} <= wrong_moments(integrate_table(TABLES["sorted"]).moments[0], TABLES["sorted"])
@@ -434,8 +450,8 @@ def test_histograms_hold_exact_sums(name):
     assert not wrong_histogram(integrate_table(table, tallies={"tail": mc.TailHistogram()})["tail"], table)
 
 
-def test_histogram_edges_are_eight_to_the_octave():
-    edges = mc.integrate(lambda u: u[0], dim=1, n=10, tallies={"tail": mc.TailHistogram()})["tail"].edges
+def test_histogram_edges_are_eight_to_the_octave(whole):
+    edges = whole["tail"].edges
     assert edges[0] == 0.0 and (np.diff(edges) > 0.0).all()
     assert np.array_equal(edges[edges >= 2.0**-126], EDGES.astype(np.float64))
 
@@ -465,11 +481,15 @@ LAWS = [Exponential(), LogNormal(0.0, 1.5), Pareto(1.5), Mix(1e-3, 500.0)]
 
 @pytest.mark.parametrize("law", LAWS, ids=str)
 def test_clamping_bias_is_that_of_the_samples(law):
-    tallies = {"tail": mc.TailHistogram(), "mutant": Midpoints()}
-    estimate = mc.integrate(law.sample, dim=law.dim, n=100_000, key=3, tallies=tallies)
-    samples = mc.draw(law.sample, dim=law.dim, n=100_000, key=3)
-    # Two kernels may round a transcendental function differently.
-    assert wrong_clamping(estimate["tail"], samples.value) < 1e-6 < wrong_clamping(estimate["mutant"], samples.value)
+    samples = law.sample(np.random.default_rng(3).random((law.dim, 100_000), np.float32)).astype(np.float32)
+    estimate = integrate_table(samples, tallies={"tail": mc.TailHistogram(), "mutant": Midpoints()})
+    assert wrong_clamping(estimate["tail"], samples) < 1e-6 < wrong_clamping(estimate["mutant"], samples)
+
+
+def test_clamping_bias_is_that_of_the_drawn_samples(whole):
+    samples = mc.draw(tree, dim=2, n=N).value["a"]
+    # Another kernel may divide and take roots to within a few units of the last place.
+    assert wrong_clamping(whole["tail"], samples) < 1e-6
 
 
 def test_clamp_ladders_hold_means_of_both_parts():
@@ -491,7 +511,8 @@ def test_clamp_ladders_hold_means_of_both_parts():
 
 
 def wrong_largest(largest, samples, k):
-    """Whether the largest samples differ from a full sort, ties by index."""
+    """Whether the largest samples differ from a full sort, ties by index and NaN for infinity."""
+    samples = np.where(np.isnan(samples), np.inf, samples)
     order = np.lexsort((np.arange(len(samples)), -samples))[:k]
     same_values = np.array_equal(largest.value, samples[order])
     return not (largest.n == len(samples) and same_values and np.array_equal(largest.index, order))
@@ -513,77 +534,84 @@ TOPS = {
     "increasing": np.arange(100_003, dtype=np.float32),
     "decreasing": -np.arange(100_003, dtype=np.float32),
     "normal": RANDOM.normal(size=100_003).astype(np.float32),
-    "few infinite": np.where(ATOMS[::-1] == 3.0, np.inf, ATOMS).astype(np.float32),
+    "some infinite": np.where(ATOMS[::-1] == 3.0, np.inf, ATOMS).astype(np.float32),
+    "some NaN": np.select([ATOMS[::-1] == 3.0, ATOMS[::-1] == 4.0], [np.inf, np.nan], ATOMS).astype(np.float32),
 }
 
 
 @pytest.mark.parametrize("name", TOPS)
 def test_largest_samples_are_those_of_a_sort(name):
-    tallies = {k: mc.TopSamples(k) for k in (1, 1000, 200_000)} | {"mutant": LastTies(1000)}
+    tallies = {f"top {k}": mc.TopSamples(k) for k in (1, 1000, 200_000)} | {"mutant": LastTies(1000)}
     estimate = integrate_table(TOPS[name], tallies=tallies)
-    assert not any(wrong_largest(estimate[k], TOPS[name], k) for k in (1, 1000, 200_000))
-    if name in ("atoms", "all equal", "few infinite"):
+    assert not any(wrong_largest(estimate[f"top {k}"], TOPS[name], k) for k in (1, 1000, 200_000))
+    if name in ("atoms", "all equal", "some infinite", "some NaN"):
         assert wrong_largest(estimate["mutant"], TOPS[name], 1000)
-
-
-def test_nan_counts_as_the_largest():
-    table = np.array([1.0, np.nan, 3.0, np.inf, np.nan], np.float32)
-    largest = integrate_table(table, tallies={"top": mc.TopSamples(4)})["top"]
-    assert largest.value.tolist() == [np.inf, np.inf, np.inf, 3.0] and largest.index.tolist() == [1, 3, 4, 2]
 
 
 def test_largest_samples_replay(whole):
     samples = mc.draw(tree, dim=2, indices=whole["top"].index)
     assert np.array_equal(samples.index, whole["top"].index)
-    assert np.array_equal(samples.value["a"], whole["top"].value)
-    assert np.array_equal(samples.value["a"], samples.u[:, 0] / np.sqrt(samples.u[:, 1]))
+    # Kernels may divide and take roots to within a few units of the last place.
+    assert np.allclose(samples.value["a"], whole["top"].value, rtol=4e-7)
+    assert np.allclose(samples.value["a"], samples.u[:, 0] / np.sqrt(samples.u[:, 1]), rtol=4e-7)
+
+
+def test_coordinates_replay_exactly(whole):
+    samples = mc.draw(tree, dim=2, indices=whole["coordinate"].index)
+    assert np.array_equal(samples.u[:, 0], whole["coordinate"].value)
+    assert np.array_equal(samples.value["b"][:, 0], whole["coordinate"].value)
 
 
 # Merging.
 
 
-class Raw:
-    """A tally whose result is its state."""
+@dataclasses.dataclass(frozen=True)
+class State:
+    """A tally whose result is its state; without samples where it is ``empty``."""
 
-    def __init__(self, tally):
-        self.tally = tally
+    tally: object
+    empty: bool = False
 
     def __getattr__(self, name):
         return getattr(self.tally, name)
+
+    def add(self, state, *args, **options):
+        if not self.empty:
+            self.tally.add(state, *args, **options)
 
     def result(self, state):
         return state
 
 
-def test_halves_merge_to_the_whole():
-    f = mc.Integrand(tree, 2)
-    raw = {name: Raw(tally) for name, tally in TALLIES.items()}
-    right = run_from(0, 100_001, f, TALLIES)
-    halves = run_from(0, 40_000, f, raw), run_from(40_000, 100_001, f, raw)
-    merged = {name: tally.result(tally.merge(*(half[name] for half in halves))) for name, tally in TALLIES.items()}
-    assert all(np.array_equal(a, b) for a, b in zip(merged["tail"], right["tail"], strict=True))
-    assert all(np.array_equal(a, b) for a, b in zip(merged["top"], right["top"], strict=True))
-    assert merged["clamp"].n == right["clamp"].n == 100_001
-    assert all(np.allclose(a, b, rtol=1e-6) for a, b in zip(merged["clamp"], right["clamp"], strict=True))
-    assert not wrong_moments(merged["b"][0], mc.draw(tree, dim=2, n=100_001).value["b"])
+STATES = {**TALLIES, **{f"{name}, {e}": State(tally, e) for name, tally in TALLIES.items() for e in (False, True)}}
 
 
-def test_nothing_merges_as_nothing():
-    f = mc.Integrand(tree, 2)
-    for name, tally in TALLIES.items():
-        full, other = (run_from(0, 5000, f, {name: Raw(tally)})[name] for _ in range(2))
-        nothing = run_from(0, 1, f, {name: Empty(tally)})[name]
-        for merged in (tally.merge(nothing, full), tally.merge(other, run_from(0, 1, f, {name: Empty(tally)})[name])):
-            expected = tally.result(run_from(0, 5000, f, {name: Raw(tally)})[name])
-            got = jax.tree.leaves(tally.result(merged))
-            assert all(np.array_equal(a, b) for a, b in zip(got, jax.tree.leaves(expected), strict=True))
+@pytest.fixture(scope="module")
+def states():
+    ranges = {"whole": (0, 100_001), "left": (0, 40_000), "right": (40_000, 100_001)}
+    return {name: run_from(*ends, mc.Integrand(tree, 2), STATES) for name, ends in ranges.items()}
 
 
-class Empty(Raw):
-    """A tally that adds nothing."""
+def merged(name, *parts):
+    return TALLIES[name].result(TALLIES[name].merge(*copy.deepcopy(parts)))
 
-    def add(self, state, record, where=..., index=None):
-        pass
+
+def test_halves_merge_to_the_whole(states):
+    whole = states["whole"]
+    both = {name: merged(name, *(states[half][f"{name}, False"] for half in ("left", "right"))) for name in TALLIES}
+    for name in ("tail", "top", "coordinate"):
+        assert all(np.array_equal(a, b) for a, b in zip(both[name], whole[name], strict=True))
+    assert both["clamp"].n == whole["clamp"].n == 100_001
+    assert all(np.allclose(a, b, rtol=1e-6) for a, b in zip(both["clamp"], whole["clamp"], strict=True))
+    assert not wrong_moments(both["b"][0], mc.draw(tree, dim=2, n=100_001).value["b"])
+
+
+@pytest.mark.parametrize("name", TALLIES)
+def test_nothing_merges_as_nothing(states, name):
+    full, nothing = states["whole"][f"{name}, False"], states["whole"][f"{name}, True"]
+    expected = jax.tree.leaves(states["whole"][name])
+    for got in (merged(name, full, nothing), merged(name, nothing, full)):
+        assert all(np.allclose(a, b, rtol=1e-14) for a, b in zip(jax.tree.leaves(got), expected, strict=True))
 
 
 # Integrands and parameters.
@@ -628,8 +656,8 @@ def test_lazy_integrands_see_the_same_coordinates():
     def fn(u):
         return u[0] + 2.0 * u[1]
 
-    lazy, array = (mc.integrate(mc.Integrand(fn, 2, lazy=lazy), n=5000) for lazy in (True, False))
-    assert lazy.mean == pytest.approx(array.mean, rel=1e-7)
+    lazy, array = (mc.draw(mc.Integrand(fn, 2, lazy=lazy), n=100).value for lazy in (True, False))
+    assert np.allclose(lazy, array, rtol=1e-6)
 
 
 # Known integrals.
@@ -667,11 +695,15 @@ def deviation(estimate, exact, variance):
     return abs(estimate.mean - exact) / stderr
 
 
-@pytest.mark.parametrize(("f", "dim", "exact", "variance"), KNOWN)
+@pytest.mark.parametrize(("f", "dim", "exact", "variance"), KNOWN, ids=["product", "exponential"])
 def test_known_integrals(f, dim, exact, variance):
     estimate = mc.integrate(f, dim=dim, n=2**22)
     assert deviation(estimate, exact, variance) < 5.0
     assert estimate.stderr == pytest.approx(math.sqrt(variance / estimate.n), rel=0.01)
+
+
+def test_a_coordinate_used_twice_is_seen():
+    f, dim, exact, variance = KNOWN[0]
     assert deviation(mc.integrate(f, dim=dim, n=2**20, sampler=Pairs()), exact, variance) > 5.0
 
 
@@ -689,15 +721,17 @@ def test_intervals_hold_the_integral_as_often_as_they_say():
     assert abs(short.mean() - truth) > 5.0 * math.sqrt(truth * (1.0 - truth) / 20_000)
 
 
-def test_values_that_are_not_finite_are_counted():
-    def fn(u):
-        return jnp.where(u[0] < 0.01, jnp.nan, jnp.where(u[0] > 0.99, jnp.inf, u[0]))
-
-    estimate = mc.integrate(fn, dim=1, n=50_000, tallies={"tail": mc.TailHistogram()})
-    samples = mc.draw(fn, dim=1, n=50_000).value
-    assert estimate.nonfinite == estimate["tail"].nonfinite == np.count_nonzero(~np.isfinite(samples)) > 500
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("share", [1e-4, 0.01, 1.0])
+def test_values_that_are_not_finite_are_counted(bad, share):
+    table = np.where(np.random.default_rng(6).random(50_001) < share, bad, NORMAL).astype(np.float32)
+    estimate = integrate_table(table)
+    assert estimate.nonfinite == np.count_nonzero(~np.isfinite(table)) > 0
     assert estimate.status == "non-finite values seen" and not math.isfinite(estimate.mean)
-    assert estimate.status in estimate.summary() and "nan" in str(estimate)
+    assert estimate.status in estimate.summary() and re.match("nan|-?inf", str(estimate))
+
+
+def test_one_pixel_that_is_not_finite_leaves_the_others_alone():
     each = mc.integrate_each(mc.Integrand(lambda u, item: jnp.where(item == 1, jnp.nan, u[0]), 1), 3, n=100)
     assert each.nonfinite == 100 and np.isnan(each.mean).tolist() == [False, True, False]
 
@@ -707,23 +741,25 @@ def test_values_that_are_not_finite_are_counted():
 
 def test_progress_counts_samples():
     calls = []
-    mc.integrate(tree, dim=2, n=N, chunk=1, progress=lambda done, total: calls.append((done, total)))
+    mc.integrate(tree, dim=2, n=N, tallies=TALLIES, chunk=1, progress=lambda done, total: calls.append((done, total)))
     done, total = np.array(calls).T
     assert (np.diff(done) > 0).all() and done[-1] == N and (total == N).all() and len(done) == -(-N // driver.BLOCK)
     calls.clear()
     f = mc.Integrand(tree_of_item, 2, (2.0,))
-    mc.integrate_each(f, 700, n=70, progress=lambda done, total: calls.append((done, total)), chunk=1)
+    options = {"tallies": TALLIES, "chunk": 1}
+    mc.integrate_each(f, 700, n=70, progress=lambda done, total: calls.append((done, total)), **options)
     done, total = np.array(calls).T
     assert (np.diff(done) > 0).all() and done[-1] == 49_000 and (total == 49_000).all()
 
 
 def test_progress_bars_have_a_title(capsys):
-    mc.integrate(tree, dim=2, n=1000, chunk=1, progress="white furnace")
+    run = partial(mc.integrate, tree, dim=2, n=1000, tallies=TALLIES, chunk=1)
+    run(progress="white furnace")
     assert "white furnace: 100%" in capsys.readouterr().err
-    mc.integrate(tree, dim=2, n=1000, chunk=1, progress=True)
+    run(progress=True)
     assert "100%" in capsys.readouterr().err
     for silent in (None, False):
-        mc.integrate(tree, dim=2, n=1000, chunk=1, progress=silent)
+        run(progress=silent)
         assert capsys.readouterr().err == ""
 
 
@@ -752,7 +788,7 @@ def test_errors_are_of_the_last_digits(value, error, words):
 
 
 @given(st.floats(-1e4, 1e4), st.floats(-9.0, 4.0).map(lambda x: 10.0**x))
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=150, deadline=None, derandomize=True)
 def test_errors_read_back(value, error):
     whole, fraction, last = re.fullmatch(r"(-?\d+)\.?(\d*)\((\d+)\)", with_error(value, error)).groups()
     unit = 10.0 ** -len(fraction)
@@ -762,18 +798,17 @@ def test_errors_read_back(value, error):
     assert len(last.rstrip("0")) <= 2
 
 
-def test_estimates_speak():
-    estimate = mc.integrate(lambda u: u[0], dim=1, n=10_000)
-    assert re.fullmatch(r"0\.\d+\(\d+\)", str(estimate))
-    assert "n = 10,000" in estimate.summary() and "complete" in estimate.summary()
-    assert estimate.recipe == {"key": 0, "sampler": "Independent()", "n": 10_000} and estimate.seconds > 0.0
-    assert str(mc.integrate(lambda u: (u[0], u), dim=2, n=100)).count("(") == 3
-    assert "array(2, 3)" in str(mc.integrate(lambda u: u.reshape(2, 3), dim=6, n=100))
-    lower, upper = estimate.interval(0.95)
-    assert upper - estimate.mean == pytest.approx(estimate.mean - lower) == pytest.approx(1.95996 * estimate.stderr)
-    assert estimate.interval(0.5)[0] > lower
+def test_estimates_speak(whole):
+    assert re.fullmatch(r"0\.\d+\(\d+\); 0\.\d+\(\d+\) 1\.\d+\(\d+\) -6\.\d+\(\d+\)", str(whole))
+    assert "n = 300,001" in whole.summary() and "complete" in whole.summary()
+    assert whole.recipe == {"key": 0, "sampler": "Independent()", "n": N} and whole.seconds > 0.0
+    image = dataclasses.replace(whole, moments=[m._replace(mean=np.ones((5, 3))) for m in whole.moments[:1]])
+    assert str(image) == "array(5, 3) of mean 1"
+    lower, upper = whole.interval(0.95)
+    assert upper["a"] - whole.mean["a"] == pytest.approx(1.959964 * whole.stderr["a"], rel=1e-6)
+    assert whole.mean["b"] - lower["b"] == pytest.approx(1.959964 * whole.stderr["b"], rel=1e-6)
     with pytest.raises(KeyError):
-        estimate["tail"]
+        whole["histogram"]
 
 
 # Mistakes.
@@ -811,7 +846,7 @@ MISTAKES = [
     ("vector in top samples", partial(VECTOR, tallies={"top": mc.TopSamples()}), "TopSamples needs one number"),
     ("vector in a ladder", partial(VECTOR, tallies={"c": mc.ClampLadder((1.0,))}), "ClampLadder needs one number"),
     *[
-        (f"level={level}", lambda level=level: mc.integrate(ONE, n=2).interval(level), "level must lie")
+        (f"level={level}", partial(mc.Estimate([], 2, {}, 0.0, {}).interval, level), "level must lie")
         for level in (0.0, 1.0, 2.0, -0.5)
     ],
 ]

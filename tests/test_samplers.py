@@ -317,7 +317,6 @@ MUTANTS = [
     (LinearCongruence, "consecutive indices"),
     (LinearCongruence, "birthdays over indices"),
     (LinearCongruence, "spectrum"),
-    (LinearCongruence, "bits"),
     (NoSecondRound, "consecutive dimensions"),
     (NoSecondRound, "birthdays over dimensions"),
     (ReusedDimension, "consecutive dimensions"),

@@ -212,10 +212,9 @@ class _Receiver:
         one = jnp.ones(()) if scene.channels == 1 else Vec3(*[jnp.ones(())] * 3)
         surface = Surface(point, normal, one, primitive_at(scene, point))
         nowhere = PathState(shapes.ray(point, normal), Hit(jnp.inf, -1), one, black(scene), None)
-        everything = tuple(range(scene.size))
         around = copy.copy(scene)
         around.mirrors = ()  # the receiver is no mirror, whatever it lies on
-        state = scatter(around, self.strategy, u, 0, surface, nowhere, everything)
+        state = scatter(around, self.strategy, u, 0, surface, nowhere, anywhere=True)
         first = len(self.strategy.coordinates(scene))
         radiance, _ = follow(scene, self.strategy, u, first, state, self.strategy.bounces)
         return finish(self.strategy, jax.tree.map(lambda x: x * np.pi, radiance))

@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from .vec import Vec3, dot, frame
@@ -64,6 +65,23 @@ def power_heuristic(inverse_pdf, other_pdf):
     """
     ratio = inverse_pdf * other_pdf
     return 1.0 / (1.0 + ratio * ratio)
+
+
+@jax.custom_jvp
+def weight_of_hit(pdf, inverse_light_pdf):
+    """Return the power heuristic of density ``pdf`` against sampling a light: 0, with derivative 0, where the light
+    cannot be sampled and ``inverse_light_pdf`` is 0.
+    """
+    return power_heuristic(1.0 / pdf, 1.0 / inverse_light_pdf)
+
+
+@weight_of_hit.defjvp
+def _weight_derivative(densities, tangents):
+    pdf, inverse = densities
+    weight = weight_of_hit(pdf, inverse)
+    inverse = jnp.where(inverse > 0.0, 1.0 / inverse, 0.0)
+    relative = tangents[0] / pdf + tangents[1] * inverse
+    return weight, 2.0 * weight * (1.0 - weight) * relative
 
 
 def luminance(rgb):

@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 
 from . import shapes
-from .materials import luminance, pdf_diffuse, power_heuristic, reflect, sample_diffuse
+from .materials import luminance, pdf_diffuse, power_heuristic, reflect, sample_diffuse, weight_of_hit
 from .primitives import is_number
 from .scene import Scene
 from .shapes import LightSample, QuadLight, Ray
@@ -115,16 +115,20 @@ def primitive_at(scene: Scene, point):
     return found
 
 
-def unoccluded(scene: Scene, ray: Ray, length, own, target, casters):
-    """Return whether no caster but ``own`` and ``target`` cuts the first ``length`` of the ray."""
+def unoccluded(scene: Scene, ray: Ray, length, own, target, anywhere=False):
+    """Return whether no primitive but ``own`` and ``target`` cuts the first ``length`` of the ray.
+
+    ``anywhere`` says that the ray need not start on a primitive, so that facts about the scene's points do not help.
+    """
     free = True
-    for i in casters:
+    for i in range(scene.size) if anywhere else scene.casters:
         if scene.lights == (i,):
             continue  # the only light is always the target
         if scene.shapes[i] == "quad":
             blocked = shapes.intersect_quad(scene.quads[i], ray, own == i) < length
         else:
-            blocked = shapes.sphere_blocks(scene.spheres[i], ray, length, own == i)
+            empty = i in scene.empty and not anywhere
+            blocked = shapes.sphere_blocks(scene.spheres[i], ray, length, own == i, empty)
         free = free & ~(blocked & (target != i)) if i in scene.lights else free & ~blocked
     return free
 
@@ -157,8 +161,8 @@ def emission_toward(scene: Scene, ray: Ray, hit: Hit, pdf):
         inverse = _inverse_pdf(light, ray, distance)
         shines = (hit.primitive == i) & (inverse > 0.0)
         if pdf is not None:
-            # What sampling this light leaves over, had it picked the light and the point that the ray has met.
-            weight = 1.0 - power_heuristic(inverse * len(scene.lights), pdf)
+            # The density of the ray, against that of picking this light and the point the ray has met.
+            weight = weight_of_hit(pdf, inverse * len(scene.lights))
             total = total + where(shines, radiance * weight, black(scene))
         else:
             total = total + where(shines, radiance, black(scene))
@@ -189,22 +193,25 @@ def black(scene):
     return jnp.zeros(()) if scene.channels == 1 else Vec3(*[jnp.zeros(())] * 3)
 
 
-def _direct_light(scene, strategy, surface, u, first, casters):
+def _direct_light(scene, strategy, surface, u, first, anywhere):
     """Return radiance times BRDF over density of one sampled light, albedo left out."""
     pick = u[first + 4] if len(scene.lights) > 1 else None
     light, radiance, target = sample_light(scene, surface.point, surface.primitive, u[first + 2], u[first + 3], pick)
     cosine = dot(surface.normal, light.wi)
     toward = shapes.ray(surface.point, light.wi)
     visible = (cosine > 0.0) & (light.inverse_pdf > 0.0) & (surface.primitive >= 0)
-    visible = visible & unoccluded(scene, toward, light.distance, surface.primitive, target, casters)
+    visible = visible & unoccluded(scene, toward, light.distance, surface.primitive, target, anywhere)
     weight = cosine * light.inverse_pdf * (1.0 / np.pi)
     if strategy.lights == "mis":
         weight = weight * power_heuristic(light.inverse_pdf, pdf_diffuse(strategy.directions, cosine))
     return where(visible, radiance * weight, black(scene))
 
 
-def scatter(scene, strategy, u, first, surface: Surface, path: PathState, casters) -> PathState:
-    """Scatter a path at a surface: sample a light, then a direction, and follow it. A path that ended stays so."""
+def scatter(scene, strategy, u, first, surface: Surface, path: PathState, anywhere=False) -> PathState:
+    """Scatter a path at a surface: sample a light, then a direction, and follow it. A path that ended stays so.
+
+    ``anywhere``: the surface need not be one of the scene's.
+    """
     alive = surface.primitive >= 0
     beta = path.beta * surface.reflectance
     sampled = strategy.lights != "none" and bool(scene.lights)
@@ -213,7 +220,7 @@ def scatter(scene, strategy, u, first, surface: Surface, path: PathState, caster
         mirror = mirror | (surface.primitive == i)
     radiance = path.radiance
     if sampled:
-        direct = _direct_light(scene, strategy, surface, u, first, casters)
+        direct = _direct_light(scene, strategy, surface, u, first, anywhere)
         direct = where(mirror, black(scene), direct) if scene.mirrors else direct
         radiance = radiance + beta * direct
     wi, pdf, weight = sample_diffuse(strategy.directions, surface.normal, u[first], u[first + 1])
@@ -267,7 +274,7 @@ def follow(scene, strategy, u, first, state: PathState, bounces, observe=None):
 
     def event(state, k):
         surface = surface_at(scene, state.ray, state.hit)
-        after = scatter(scene, strategy, u, first + stride * k, surface, state, scene.casters)
+        after = scatter(scene, strategy, u, first + stride * k, surface, state)
         return after, (observe(surface, after) if observe else None)
 
     if bounces == 0:

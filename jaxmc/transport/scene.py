@@ -69,15 +69,17 @@ class Scene:
         lights: numbers of the primitives that shine.
         mirrors: numbers of the primitives that are mirrors.
         casters: numbers of the primitives that can cast a shadow between two points of the scene. A quad with the
-            whole scene on one side of its plane cannot. Facts hold for the values the scene was built with: to move
-            things, build a new scene.
+            whole scene on one side of its plane cannot.
+        empty: numbers of the spheres with no part of the scene inside.
+
+    Facts hold for the values that the scene was built with: to move things, build a new scene.
 
     Raises:
         ValueError: something else in the list, or a sky that is no radiance.
     """
 
     _data = ("quads", "spheres", "normal", "anchor", "inverse_radius", "inset", "reflectance", "emitters", "sky")
-    _static = ("channels", "shapes", "lights", "mirrors", "casters")
+    _static = ("channels", "shapes", "lights", "mirrors", "casters", "empty")
 
     def __init__(self, primitives, sky=None):
         if not isinstance(primitives, Iterable):
@@ -96,7 +98,7 @@ class Scene:
         self.lights = tuple(i for i, c in enumerate(radiances) if not (is_concrete(c) and max(c) == 0.0))
         self.mirrors = tuple(i for i, p in enumerate(primitives) if isinstance(p.material, Mirror))
         frames = [_quad_frame(p) if isinstance(p, Quad) else None for p in primitives]
-        self.casters = _casters(primitives, frames)
+        self.casters, self.empty = _casters_and_empty(primitives, frames)
 
         extent = _extent(primitives)
         rounding = [_rounding(f, extent) if f else 0.0 for f in frames]
@@ -211,20 +213,28 @@ def _corners(quad):
     return np.stack([corner, corner + u, corner + v, corner + u + v])
 
 
-def _casters(primitives, frames):
-    """Return the primitives that can lie between two points of the scene."""
+def _casters_and_empty(primitives, frames):
+    """Return the primitives that can lie between two points of the scene, and the spheres with none of them inside."""
     geometry = [(p.corner, p.edge_u, p.edge_v) if isinstance(p, Quad) else (p.center, p.radius) for p in primitives]
     if not is_concrete(geometry):
-        return tuple(range(len(primitives)))
+        return tuple(range(len(primitives))), ()
     points = [_corners(p) if isinstance(p, Quad) else np.asarray(p.center, float)[None] for p in primitives]
-    radii = np.concatenate([[0.0] * 4 if isinstance(p, Quad) else [p.radius] for p in primitives] or [[]])
-    points = np.concatenate(points or [np.zeros((0, 3))])
-    slack = 1e-6 * np.abs(points).max(initial=0.0)
-    casters = []
-    for i, frame in enumerate(frames):
-        if frame is not None:
-            height = (points - np.array(frame.center)) @ np.array(frame.normal)
-            if (height - radii >= -slack).all() or (height + radii <= slack).all():
-                continue
-        casters.append(i)
-    return tuple(casters)
+    slack = 1e-6 * max((np.abs(p).max() for p in points), default=0.0)
+    radius = [0.0 if frame else p.radius for p, frame in zip(primitives, frames)]
+    quads = [i for i, frame in enumerate(frames) if frame]
+    spheres = [i for i, frame in enumerate(frames) if not frame]
+
+    def heights(i, j):
+        return (points[j] - np.array(frames[i].center)) @ np.array(frames[i].normal)
+
+    def is_hull(i):
+        above = all((heights(i, j) - radius[j] >= -slack).all() for j in range(len(primitives)))
+        return above or all((heights(i, j) + radius[j] <= slack).all() for j in range(len(primitives)))
+
+    def is_empty(i):
+        # Take a quad for its whole plane: it is then called inside too often, never too rarely.
+        apart = [np.linalg.norm(points[i] - points[j]) >= radius[i] + radius[j] - slack for j in spheres if j != i]
+        return all(apart) and all(abs(heights(j, i)[0]) >= radius[i] - slack for j in quads)
+
+    hull = [i for i in quads if is_hull(i)]
+    return tuple(i for i in range(len(primitives)) if i not in hull), tuple(i for i in spheres if is_empty(i))

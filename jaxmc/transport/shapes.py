@@ -123,16 +123,20 @@ def intersect_sphere(sphere: SphereShape, ray: Ray, own):
     return jnp.where(distance > 0.0, distance, jnp.inf)
 
 
-def sphere_blocks(sphere: SphereShape, ray: Ray, length, own):
-    """Return whether a sphere cuts the first ``length`` of a ray; needs no root and no division."""
+def sphere_blocks(sphere: SphereShape, ray: Ray, length, own, empty=False):
+    """Return whether a sphere cuts the first ``length`` of a ray; needs no root and no division.
+
+    ``empty`` says that no ray starts or ends inside the sphere.
+    """
     r2 = sphere.radius * sphere.radius
     to_center = sphere.center - ray.origin
     nearest = dot(to_center, ray.direction)
-    start2 = dot(to_center, to_center)
-    end = to_center - ray.direction * length
     foot = to_center - ray.direction * jnp.clip(nearest, 0.0, length)
-    # A segment inside the sphere from end to end does not cross its surface.
-    crosses = (dot(foot, foot) < r2) & ~((start2 < r2) & (dot(end, end) < r2))
+    crosses = dot(foot, foot) < r2
+    if not empty:
+        # A segment inside the sphere from end to end does not cross its surface.
+        end = to_center - ray.direction * length
+        crosses = crosses & ~((dot(to_center, to_center) < r2) & (dot(end, end) < r2))
     return jnp.where(own, (nearest > 0.0) & (2.0 * nearest < length), crosses)
 
 
