@@ -87,6 +87,7 @@ TALLIES = {
     "clamp": mc.ClampLadder((0.5, 2.0, 10.0), of=of_a),
     "b": mc.Moments(of=of_b, order=3),
 }
+FEW = {name: TALLIES[name] for name in ("tail", "top", "clamp")}
 
 
 # The way the work is cut.
@@ -99,8 +100,13 @@ def whole():
     return mc.integrate(tree, dim=2, n=N, tallies=TALLIES, chunk=1, workers=1)
 
 
-@pytest.mark.parametrize("chunk", [1, 20_000, 2**18, 2**20])
-@pytest.mark.parametrize("workers", [1, 2, 5])
+CUTS = [(chunk, workers) for chunk in (1, 20_000, 2**18, 2**20) for workers in (1, 2, 5)]
+QUICK = [(1, 5), (20_000, 2), (2**18, 1), (2**18, 5), (2**20, 2)]
+
+
+@pytest.mark.parametrize(
+    ("chunk", "workers"), [pytest.param(*cut, marks=[] if cut in QUICK else pytest.mark.slow) for cut in CUTS]
+)
 def test_results_do_not_depend_on_chunks_or_workers(whole, chunk, workers):
     assert same(mc.integrate(tree, dim=2, n=N, tallies=TALLIES, chunk=chunk, workers=workers), whole)
 
@@ -126,7 +132,7 @@ def tree_of_item(u, scale, item):
 
 def test_families_do_not_depend_on_chunks_or_workers():
     f = mc.Integrand(tree_of_item, 2, (2.0,))
-    run = partial(mc.integrate_each, f, 700, n=70, tallies=TALLIES)
+    run = partial(mc.integrate_each, f, 700, n=70, tallies=FEW)
     narrow = run(chunk=1, workers=1)
     assert all(same(run(chunk=2**20, workers=workers), narrow) for workers in (1, 5))
 
@@ -162,7 +168,7 @@ class LeakyMoments(mc.Moments):
 def test_samples_behind_the_last_are_never_seen(n):
     def run(end):
         f = mc.Integrand(tree_up_to, 3, (np.uint32(end),), lazy=True)
-        estimate = mc.integrate(f, n=n, sampler=Numbered(), tallies={**TALLIES, "leaky": LeakyMoments()}, chunk=1)
+        estimate = mc.integrate(f, n=n, sampler=Numbered(), tallies={**FEW, "leaky": LeakyMoments()}, chunk=1)
         return estimate, estimate.tallies.pop("leaky")[0]
 
     (right, _), (cut, leaky) = run(2**32 - 1), run(n)
@@ -189,11 +195,17 @@ def first(values):
     return values[0]
 
 
+def integrate_items(table, items, n):
+    """Integrate a family of which item i has the samples table[i], table[i + items], ..."""
+    f = mc.Integrand(look_up_item, 1, (table, np.uint32(items)), lazy=True)
+    tallies = {"top": mc.TopSamples(50, of=first)}
+    return mc.integrate_each(f, items, n=n, sampler=Counting(), tallies=tallies, chunk=1)
+
+
 @pytest.mark.parametrize(("items", "n"), [(1, 1), (3, 65), (256, 64), (300, 130)])
 def test_families_number_their_samples(items, n):
     table = np.random.default_rng(1).normal(size=40_000).astype(np.float32)
-    f = mc.Integrand(look_up_item, 1, (table, np.uint32(items)), lazy=True)
-    estimate = mc.integrate_each(f, items, n=n, sampler=Counting(), tallies={"top": mc.TopSamples(50, of=first)})
+    estimate = integrate_items(table, items, n)
     table = table[: n * items]
     samples = table.astype(np.float64).reshape(n, items)
     mean, remainder, item = estimate.mean
@@ -583,33 +595,40 @@ class State:
         return state
 
 
-STATES = {**TALLIES, **{f"{name}, {e}": State(tally, e) for name, tally in TALLIES.items() for e in (False, True)}}
+STATES = {f"{name}{'!' * empty}": State(tally, empty) for name, tally in TALLIES.items() for empty in (False, True)}
 
 
 @pytest.fixture(scope="module")
 def states():
+    """States of the whole and of two parts; a name with an exclamation mark is of no samples."""
     ranges = {"whole": (0, 100_001), "left": (0, 40_000), "right": (40_000, 100_001)}
     return {name: run_from(*ends, mc.Integrand(tree, 2), STATES) for name, ends in ranges.items()}
 
 
-def merged(name, *parts):
-    return TALLIES[name].result(TALLIES[name].merge(*copy.deepcopy(parts)))
+def merged(name, first, *others):
+    """Return the result of states of the tally ``name``, merged if there are two."""
+    state, others = copy.deepcopy((first, others))
+    for other in others:
+        state = TALLIES[name].merge(state, other)
+    return TALLIES[name].result(state)
 
 
 def test_halves_merge_to_the_whole(states):
-    whole = states["whole"]
-    both = {name: merged(name, *(states[half][f"{name}, False"] for half in ("left", "right"))) for name in TALLIES}
+    whole = {name: merged(name, states["whole"][name]) for name in TALLIES}
+    both = {name: merged(name, states["left"][name], states["right"][name]) for name in TALLIES}
     for name in ("tail", "top", "coordinate"):
         assert all(np.array_equal(a, b) for a, b in zip(both[name], whole[name], strict=True))
     assert both["clamp"].n == whole["clamp"].n == 100_001
     assert all(np.allclose(a, b, rtol=1e-6) for a, b in zip(both["clamp"], whole["clamp"], strict=True))
-    assert not wrong_moments(both["b"][0], mc.draw(tree, dim=2, n=100_001).value["b"])
+    samples = mc.draw(tree, dim=2, n=100_001).value["b"]
+    assert not wrong_moments(both["b"][0], samples) and not wrong_moments(whole["b"][0], samples)
+    assert wrong_moments(merged("b", states["left"]["b"], states["left"]["b"])[0], samples)
 
 
 @pytest.mark.parametrize("name", TALLIES)
 def test_nothing_merges_as_nothing(states, name):
-    full, nothing = states["whole"][f"{name}, False"], states["whole"][f"{name}, True"]
-    expected = jax.tree.leaves(states["whole"][name])
+    full, nothing = states["whole"][name], states["whole"][f"{name}!"]
+    expected = jax.tree.leaves(merged(name, full))
     for got in (merged(name, full, nothing), merged(name, nothing, full)):
         assert all(np.allclose(a, b, rtol=1e-14) for a, b in zip(jax.tree.leaves(got), expected, strict=True))
 
@@ -732,8 +751,12 @@ def test_values_that_are_not_finite_are_counted(bad, share):
 
 
 def test_one_pixel_that_is_not_finite_leaves_the_others_alone():
-    each = mc.integrate_each(mc.Integrand(lambda u, item: jnp.where(item == 1, jnp.nan, u[0]), 1), 3, n=100)
-    assert each.nonfinite == 100 and np.isnan(each.mean).tolist() == [False, True, False]
+    table = np.random.default_rng(1).normal(size=40_000).astype(np.float32)
+    right = integrate_items(table, 3, 100).mean[0]
+    table[1::3] = np.nan
+    estimate = integrate_items(table, 3, 100)
+    assert estimate.nonfinite == 100
+    assert np.array_equal(estimate.mean[0], [right[0], np.nan, right[2]], equal_nan=True)
 
 
 # Progress and words.
@@ -746,7 +769,7 @@ def test_progress_counts_samples():
     assert (np.diff(done) > 0).all() and done[-1] == N and (total == N).all() and len(done) == -(-N // driver.BLOCK)
     calls.clear()
     f = mc.Integrand(tree_of_item, 2, (2.0,))
-    options = {"tallies": TALLIES, "chunk": 1}
+    options = {"tallies": FEW, "chunk": 1}
     mc.integrate_each(f, 700, n=70, progress=lambda done, total: calls.append((done, total)), **options)
     done, total = np.array(calls).T
     assert (np.diff(done) > 0).all() and done[-1] == 49_000 and (total == 49_000).all()

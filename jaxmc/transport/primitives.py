@@ -9,7 +9,6 @@ import numpy as np
 from .materials import Diffuse, Mirror
 from .vec import Vec3
 
-
 GREY = Diffuse()
 
 

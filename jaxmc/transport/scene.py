@@ -4,7 +4,7 @@ What is known when a scene is built is decided then: which shapes, materials and
 three, which components of a plane are zero, which primitives share a value, and which can cast a shadow at all. So what
 a scene lacks costs nothing. Values are leaves of a pytree: the same facts with other values run the same kernel.
 
-While JAX traces (a scene built inside a function under ``jax.grad``) values are unknown, and the kernel assumes nothing.
+While JAX traces (a scene built inside a function under ``jax.grad``) values are unknown; the kernel assumes nothing.
 """
 
 import dataclasses

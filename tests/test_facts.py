@@ -1,0 +1,127 @@
+"""A scene pays only for what it contains: operations of one path, counted in the jaxpr."""
+
+from collections import Counter
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import jaxmc as mc
+from jaxmc import scenes
+from jaxmc.integration import driver
+from jaxmc.integration.samplers import Independent, Index
+
+
+def operations(scene, camera=None, **options):
+    """Return how often each primitive operation occurs in one path of a scene, loop bodies included."""
+    camera = camera or mc.PinholeCamera((0, 0, 3.9), (0, 0, 0))
+    integrand = mc.path_integrand(scene, camera, bounces=3, **options)
+
+    def value(integrand, word):
+        return integrand.at(Independent().point(jnp.arange(4, dtype=jnp.uint32), Index(word, word)))
+
+    jaxpr = jax.make_jaxpr(value)(jax.tree.map(jnp.asarray, integrand), jnp.uint32(1)).jaxpr
+    return _count(jaxpr)
+
+
+def _count(jaxpr):
+    count = Counter()
+    for equation in jaxpr.eqns:
+        count[equation.primitive.name] += 1
+        for value in equation.params.values():
+            inner = getattr(value, "jaxpr", value)
+            if hasattr(inner, "eqns"):
+                count += _count(inner)
+    return count
+
+
+FLOOR = ((-1, -1, 1), (2, 0, 0), (0, 0, -2))
+TILTED = ((-1, -1, 1), (2, 0.3, 0.1), (0.2, 0.4, -2))
+LAMP = mc.Quad((-0.2, 1, -0.2), (0.4, 0, 0), (0, 0, 0.4), mc.Diffuse(0.0), emission=5.0)
+
+
+def scene(ball=mc.Diffuse(0.5), floor=FLOOR, lamp=LAMP, sky=None, albedo=0.5, more=()):
+    return mc.Scene([mc.Quad(*floor, mc.Diffuse(albedo)), mc.Sphere((0, 0, 0), 0.5, ball), lamp, *more], sky)
+
+
+DARK = mc.Quad((-0.2, 1, -0.2), (0.4, 0, 0), (0, 0, 0.4), mc.Diffuse(0.0))
+
+
+@pytest.mark.parametrize(
+    ("less", "more", "least"),
+    [
+        (scene(), scene(ball=mc.Mirror(0.5)), 10),
+        (scene(), scene(sky=1.0), 3),
+        (scene(), scene(sky=(1.0, 0.5, 0.2)), 10),
+        (scene(), scene(albedo=(0.5, 0.4, 0.3)), 10),
+        (scene(lamp=DARK), scene(), 100),
+        (scene(), scene(floor=TILTED), 10),
+        (scene(), scene(more=[mc.Sphere((0.8, 0, 0), 0.2, mc.Diffuse(0.5))]), 30),
+    ],
+    ids=["mirror", "sky", "coloured sky", "colour", "light to sample", "tilted quad", "second sphere"],
+)
+def test_what_a_scene_lacks_is_not_in_its_kernel(less, more, least):
+    assert operations(more).total() - operations(less).total() >= least
+
+
+def test_a_black_sky_and_a_dark_lamp_are_no_sky_and_no_lamp():
+    assert operations(scene(sky=0.0)) == operations(scene())
+    dark = mc.Quad((-0.2, 1, -0.2), (0.4, 0, 0), (0, 0, 0.4), mc.Diffuse(0.0), emission=0.0)
+    assert operations(scene(lamp=dark)) == operations(scene(lamp=DARK))
+
+
+def test_mirror_code_is_the_reflection_and_its_choices():
+    # The reflected direction is the one thing that selects between two directions: three selects for wi.
+    diffuse, mirror = operations(scene()), operations(scene(ball=mc.Mirror(0.5)))
+    assert mirror["select_n"] > diffuse["select_n"] and mirror["or"] > diffuse["or"]
+    assert "or" not in diffuse
+
+
+def test_grey_costs_one_channel_and_equal_values_are_looked_up_once():
+    same = mc.Diffuse(0.5)
+    grey = mc.Scene([mc.Quad(*FLOOR, same), mc.Sphere((0, 0, 0), 0.5, same), LAMP])
+    assert grey.channels == 1 and scene(albedo=(0.5, 0.4, 0.3)).channels == 3
+    assert len(grey.reflectance.values) == 2
+
+
+def test_without_lights_to_sample_there_are_no_coordinates_for_them():
+    camera = mc.PinholeCamera((0, 0, 3.9), (0, 0, 0))
+    dims = {
+        name: mc.path_integrand(s, camera, bounces=3).dim for name, s in [("lit", scene()), ("dark", scene(lamp=DARK))]
+    }
+    assert dims == {"lit": 2 + 3 * 4, "dark": 2 + 3 * 2}
+    assert mc.path_integrand(scene(), camera, bounces=3, lights="none").dim == 2 + 3 * 2
+    two = scene(more=[mc.Sphere((0, 2, 0), 0.1, emission=1.0)])
+    integrand = mc.path_integrand(two, camera, bounces=3)
+    assert integrand.dim == 2 + 3 * 5 == len(integrand.labels) and integrand.labels[6] == "event 1, which light"
+
+
+def test_shadow_casters_are_what_can_lie_between_two_points():
+    room, _ = scenes.cornell_box()
+    assert room.casters == (5, 6, 7) and room.empty == (6, 7)
+    inside = mc.Scene([mc.Sphere((0, 0, 0), 2.0, inward=True), mc.Sphere((0, 0, 0), 0.5), mc.Quad(*FLOOR)])
+    assert inside.empty == () and 2 in inside.casters
+
+
+def test_other_values_run_the_same_kernel():
+    camera = mc.PinholeCamera((0, 0, 3.9), (0, 0, 0), width=8, height=8)
+    mc.render(scene(), camera, spp=1, bounces=3)
+    before = driver._evaluate._cache_size()
+    other = scene(ball=mc.Diffuse(0.3), lamp=mc.Quad((-0.3, 1, -0.2), (0.6, 0, 0), (0, 0, 0.4), mc.Diffuse(0.0), 7.0))
+    mc.render(other, camera, spp=1, bounces=3, key=1)
+    moved = mc.PinholeCamera((0.5, 0.2, 3.0), (0, 0, 0), fov=30, width=8, height=8)
+    mc.render(scene(), moved, spp=1, bounces=3)
+    assert driver._evaluate._cache_size() == before + (other.reflectance.group != scene().reflectance.group)
+
+
+def test_facts_are_not_drawn_from_values_that_are_traced():
+    def value(albedo):
+        traced = scene(ball=mc.Diffuse(albedo))
+        assert traced.channels == 3
+        return (
+            mc.path_integrand(traced, mc.PinholeCamera((0, 0, 3.9), (0, 0, 0)), bounces=1)
+            .batch(jnp.full((1, 6), 0.3))
+            .sum()
+        )
+
+    assert jnp.isfinite(jax.grad(value)(0.5))
