@@ -1,6 +1,8 @@
 """What tests are made of: a check of an estimate against truth, and laws of one sample with known clamping.
 
-``assert_unbiased`` passes only on evidence. Every law has ``dim`` and ``sample(u)``, where ``u[k]`` is coordinate k in [0, 1): an array of shape (dim,) or (dim, n),
+``assert_unbiased`` passes only on evidence.
+
+Every law has ``dim`` and ``sample(u)``, where ``u[k]`` is coordinate k in [0, 1): an array of shape (dim,) or (dim, n),
 NumPy or JAX, or a point that computes a coordinate when asked. So ``law.sample`` is an integrand as it stands.
 
 ``mean`` and ``variance`` are of one sample, inf where infinite. For a threshold t >= 0, a number or an array:
@@ -18,7 +20,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import optimize, special
-
 
 SIGMAS = 5.0  # a sound estimate is farther off once in two million checks
 ROUNDING = 1e-5  # relative: what float32 may do to values that should all be the same

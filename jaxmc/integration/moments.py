@@ -120,13 +120,17 @@ class _PowerSums:
         for power in leaf["powers"]:
             factor = factor * scale
             scaled.append(power * factor)
-        # Centre on the first block that has samples.
-        center = self.center[where]
-        if not (known := self.n[where] > 0).all():
-            center = self.center[where] = np.where(known, center, mean)
+        self.nonfinite += int(leaf["nonfinite"].sum())
+        known = self.n[where] > 0
+        if not known.any():
+            # Centre on the first block: there is nothing to shift or to add to.
+            self.n[where], self.center[where] = n, mean
+            for k, x in enumerate(scaled):
+                self.total[k, where] = x
+            return
+        center = self.center[where] = np.where(known, self.center[where], mean)
         self._accumulate(where, _shift(n, scaled, mean - center))
         self.n[where] += n
-        self.nonfinite += int(leaf["nonfinite"].sum())
 
     def _accumulate(self, where, powers):
         for k, x in enumerate(powers):

@@ -256,7 +256,7 @@ def trace(scene: Scene, strategy: Strategy, u, first: int, start: Ray, observe=N
 
     Coordinates from ``first`` on feed the scattering events.
     """
-    hit = closest_hit(scene, start)
+    hit = closest_hit(scene, start) if strategy.bounces else apart(scene, partial(closest_hit, scene), start)
     one = jnp.ones(()) if scene.channels == 1 else Vec3(*[jnp.ones(())] * 3)
     seen = scene.lights and not strategy.hide_emitters
     radiance = emission_toward(scene, start, hit, None) if seen else black(scene)
@@ -279,8 +279,22 @@ def follow(scene, strategy, u, first, state: PathState, bounces, observe=None):
 
     if bounces == 0:
         return state.radiance, None
+    if bounces == 1:
+        state, seen = apart(scene, partial(event, k=0), state)
+        return state.radiance, jax.tree.map(lambda x: x[None], seen)
     state, seen = lax.scan(event, state, jnp.arange(bounces))
     return state.radiance, seen
+
+
+def apart(scene: Scene, function, *args):
+    """Return ``function(*args)``, computed behind a branch that is always taken.
+
+    XLA:CPU repeats what several results share wherever it can see through, which in a chain of intersections grows
+    without bound; it does not see through a loop or a branch. Loops of one round it removes.
+    """
+    shapes = jax.eval_shape(function, *args)
+    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    return lax.cond(scene.present > 0.0, function, lambda *_: nothing, *args)
 
 
 def finish(strategy: Strategy, radiance):

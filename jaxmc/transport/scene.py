@@ -78,7 +78,7 @@ class Scene:
         ValueError: something else in the list, or a sky that is no radiance.
     """
 
-    _data = ("quads", "spheres", "normal", "anchor", "inverse_radius", "inset", "reflectance", "emitters", "sky")
+    _data = ("quads", "spheres", "normal", "anchor", "inverse_radius", "inset", "reflectance", "emitters", "sky", "present")
     _static = ("channels", "shapes", "lights", "mirrors", "casters", "empty")
 
     def __init__(self, primitives, sky=None):
@@ -117,6 +117,8 @@ class Scene:
         lights = [frames[i] or SphereLight(*_sphere_shape(primitives[i]), primitives[i].inward) for i in self.lights]
         self.emitters = number([(light, self._color(radiances[i])) for i, light in zip(self.lights, lights)])
         self.sky = number(self._color(sky)) if sky and not (is_concrete(sky) and max(sky) == 0.0) else None
+
+        self.present = number(1.0)  # a 1 that the compiler does not know, see paths.apart
 
     def _color(self, rgb):
         return rgb[0] if self.channels == 1 else Vec3(*rgb)

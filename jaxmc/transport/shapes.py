@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .derivatives import product, quotient, reciprocal, root
 from .vec import Vec3, dot, frame
 from .warps import sincos_2pi
 
@@ -29,7 +30,7 @@ class Ray(NamedTuple):
 
 def ray(origin, direction):
     """Return the ray from ``origin`` along the unit vector ``direction``."""
-    return Ray(origin, direction, Vec3(1.0 / direction.x, 1.0 / direction.y, 1.0 / direction.z))
+    return Ray(origin, direction, Vec3(*map(reciprocal, direction)))
 
 
 @partial(
@@ -66,9 +67,10 @@ class SphereShape(NamedTuple):
 def intersect_quad(quad: QuadShape, ray: Ray, own):
     """Return the distance to a parallelogram, infinite for a miss; ``own``: the ray starts on it."""
     if quad.axis is None:
-        distance = (quad.offset - _sparse_dot(quad.normal, ray.origin)) / _sparse_dot(quad.normal, ray.direction)
+        height = quad.offset - _sparse_dot(quad.normal, ray.origin)
+        distance = quotient(height, _sparse_dot(quad.normal, ray.direction))
     else:
-        distance = (quad.offset - ray.origin[quad.axis]) * ray.inverse[quad.axis]
+        distance = product(quad.offset - ray.origin[quad.axis], ray.inverse[quad.axis])
     u = _row(quad.row_u, quad.offset_u, ray, distance)
     v = _row(quad.row_v, quad.offset_v, ray, distance)
     hit = (distance > 0.0) & (jnp.maximum(jnp.abs(u), jnp.abs(v)) <= quad.limit) & jnp.logical_not(own)
@@ -223,18 +225,3 @@ def _cone(light, squared, own):
         return 2.0, own | (squared < light.radius * light.radius)
     sin2 = light.radius * light.radius / squared
     return sin2 / (1.0 + root(jnp.maximum(1.0 - sin2, 0.0))), sin2 < 1.0
-
-
-@jax.custom_jvp
-def root(x):
-    """Return the square root of ``x``, NaN below 0, with derivative 0 where it is 0 or NaN.
-
-    The branches that a ray does not take stay NaN or infinite; their derivative would turn the others' into NaN.
-    """
-    return jnp.sqrt(x)
-
-
-@root.defjvp
-def _root_derivative(x, tangent):
-    y = jnp.sqrt(x[0])
-    return y, tangent[0] * jnp.where(y > 0.0, 0.5 / jnp.where(y > 0.0, y, 1.0), 0.0)
