@@ -56,10 +56,11 @@ def with_flags(flags: str, jaxlib_version: str) -> str:
 
 
 def workers() -> int:
-    """Return how many threads to run kernels on: the cores this process may use, or 2 for a GPU (one call ahead)."""
+    """Return how many threads to run kernels on: one more than there are cores, so that none waits while results are
+    folded, or 2 for a GPU."""
     if jax.default_backend() != "cpu":
         return 2
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return 1 + (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
 
 @functools.cache

@@ -83,7 +83,8 @@ class Point:
             # Take the low bits from a dimension that nobody can name: the top bit is set.
             low = self._bits(jnp.asarray(dimension).astype(jnp.uint32) | jnp.uint32(1 << 31)) >> 12
             return (bits.astype(jnp.float64) * 2.0**20 + low.astype(jnp.float64) + 0.5) * 2.0**-52
-        return jnp.minimum(bits.astype(jnp.float32) * 2.0**-32 + 2.0**-33, 1.0 - 2.0**-24)
+        u = bits.astype(jnp.float32) * 2.0**-32 + 2.0**-33
+        return jnp.where(u < 1.0, u, 1.0 - 2.0**-24)
 
     def _bits(self, dimension):
         x = self.first + jnp.uint32(GOLDEN) * jnp.asarray(dimension).astype(jnp.uint32)

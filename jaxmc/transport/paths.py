@@ -19,7 +19,7 @@ from .materials import luminance, pdf_diffuse, power_heuristic, reflect, sample_
 from .primitives import is_number
 from .scene import Scene
 from .shapes import LightSample, QuadLight, Ray
-from .vec import Vec3, dot, where
+from .vec import Vec3, dot, smaller, where
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +92,7 @@ def closest_hit(scene: Scene, ray: Ray, own=-1) -> Hit:
     # Keep all distances, then compare: two wide kernels instead of a chain of masks.
     nearest = distances[0]
     for distance in distances[1:]:
-        nearest = jnp.minimum(nearest, distance)
+        nearest = smaller(nearest, distance)
     primitive = 0
     for i, distance in enumerate(distances[1:], 1):
         primitive = jnp.where(distance == nearest, i, primitive)

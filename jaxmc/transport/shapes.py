@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .derivatives import product, quotient, reciprocal, root
-from .vec import Vec3, dot, frame
+from .vec import Vec3, dot, frame, larger, smaller
 from .warps import sincos_2pi
 
 
@@ -73,7 +73,7 @@ def intersect_quad(quad: QuadShape, ray: Ray, own):
         distance = product(quad.offset - ray.origin[quad.axis], ray.inverse[quad.axis])
     u = _row(quad.row_u, quad.offset_u, ray, distance)
     v = _row(quad.row_v, quad.offset_v, ray, distance)
-    hit = (distance > 0.0) & (jnp.maximum(jnp.abs(u), jnp.abs(v)) <= quad.limit) & jnp.logical_not(own)
+    hit = (distance > 0.0) & (larger(jnp.abs(u), jnp.abs(v)) <= quad.limit) & jnp.logical_not(own)
     return jnp.where(hit, distance, jnp.inf)
 
 
@@ -133,7 +133,7 @@ def sphere_blocks(sphere: SphereShape, ray: Ray, length, own, empty=False):
     r2 = sphere.radius * sphere.radius
     to_center = sphere.center - ray.origin
     nearest = dot(to_center, ray.direction)
-    foot = to_center - ray.direction * jnp.clip(nearest, 0.0, length)
+    foot = to_center - ray.direction * smaller(larger(nearest, 0.0), length)
     crosses = dot(foot, foot) < r2
     if not empty:
         # A segment inside the sphere from end to end does not cross its surface.
@@ -170,13 +170,13 @@ def sample_quad_light(light: QuadLight, point, own, u1, u2) -> LightSample:
     squared = dot(to_light, to_light)
     inverse = jnp.sqrt(1.0 / squared)
     wi = to_light * inverse
-    cos_light = jnp.maximum(-dot(light.normal, wi), 0.0)
+    cos_light = larger(-dot(light.normal, wi), 0.0)
     return LightSample(wi, squared * inverse, cos_light * light.area * (inverse * inverse))
 
 
 def inverse_pdf_quad_light(light: QuadLight, point, wi, distance):
     """Return 1 / density per solid angle of ``sample_quad_light`` for a hit of the light, 0 from behind."""
-    return jnp.maximum(-dot(light.normal, wi), 0.0) * light.area / (distance * distance)
+    return larger(-dot(light.normal, wi), 0.0) * light.area / (distance * distance)
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["center", "radius"], meta_fields=["inward"])
