@@ -30,7 +30,7 @@ def _parser():
         required=True, metavar="STUDY"
     )
     mirror = study.add_parser("mirror-box", help="why the mirror box sparkles, and what clamping costs")
-    mirror.add_argument("--spp", type=int, default=4096, help="samples per pixel of the reference (default 4096)")
+    mirror.add_argument("--spp", type=int, default=2048, help="samples per pixel of the references (default 2048)")
     mirror.set_defaults(run=_study_mirror_box)
     sparkle = study.add_parser("sparkles", help="uniform against cosine-weighted directions in a box with a gap")
     sparkle.add_argument("--paths", type=int, default=1 << 24, help="paths searched for the extreme one (default 2^24)")

@@ -1,10 +1,10 @@
-"""Known mistakes must fail the check that the right code passes."""
+"""Estimators that are wrong on purpose: the check that the right ones pass must tell each of them apart."""
 
 import dataclasses
-from functools import partial
+from types import SimpleNamespace
 
-import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import analytic_scenes
@@ -13,122 +13,228 @@ from jaxmc.testing import assert_unbiased
 from jaxmc.transport import materials, paths, shapes, warps
 from jaxmc.transport.vec import Vec3, normalize
 
-LAMP = partial(
-    analytic_scenes.rectangle_light, corner=(-0.6, -0.5, 0.6), edge_u=(0.0, 1.0, 0.2), edge_v=(1.2, 0.0, 0.0)
-)
-FURNACE = partial(analytic_scenes.cube_furnace, albedo=0.6, bounces=3)
+PRECISION = 1e-3  # the smallest mistake below is one of 1 %
+BLACK = mc.Diffuse(0.0)
 
 
-@pytest.fixture
-def fresh():
-    """Trace anew: kernels compiled before know nothing of a patch, and those compiled with it must not outlive it."""
-    jax.clear_caches()
-    yield
-    jax.clear_caches()
+def fresh(integrand):
+    """Return the integrand as a function that no cache has seen, so that it is traced with the code as it is now."""
+    return dataclasses.replace(integrand, fn=lambda u, *params: integrand.fn(u, *params))
 
 
-def check(scene, n=1 << 21):
-    assert_unbiased(mc.integrate(scene.integrand, n=n, key=5), scene.exact, rel_precision=2e-3)
+def check(integrand, exact, n):
+    assert_unbiased(mc.integrate(fresh(integrand), n=n, key=1), exact, PRECISION)
 
 
-def patch_sample(**changes):
-    """Return a mutant of ``sample_diffuse`` that changes pdf or weight."""
-
-    def mutant(directions, normal, u1, u2):
-        wi, pdf, weight = materials.sample_diffuse(directions, normal, u1, u2)
-        return wi, changes.get("pdf", lambda p: p)(pdf), changes.get("weight", lambda w: w)(weight)
-
-    return mutant
+# ---------------------------------------------------------------------------------------- scenes with known values
 
 
-def missing_cosine(monkeypatch):
-    """Uniform directions without the cosine: every bounce weighs 2 instead of 2 cos(theta)."""
-    monkeypatch.setattr(paths, "sample_diffuse", patch_sample(weight=lambda w: 2.0 * jnp.ones_like(w)))
-    return FURNACE(directions="uniform")
+def furnace(directions):
+    scene = analytic_scenes.sphere_furnace(directions=directions)
+    return scene.integrand, scene.exact, 1 << 20
 
 
-def area_for_solid_angle(monkeypatch):
-    """The density of a light sample per area, not per solid angle: no cosine at the light, no squared distance."""
-    right = shapes.sample_quad_light
+def lit_furnace():
+    scene = analytic_scenes.cube_furnace(lights="mis")
+    return scene.integrand, scene.exact, 1 << 20
 
-    def mutant(light, *args):
+
+def rectangle(lights):
+    scene = analytic_scenes.rectangle_light(lights=lights)
+    return scene.integrand, scene.exact, 1 << 20
+
+
+def two_faced():
+    """Return the irradiance from a rectangle that faces the receiver, beside one of the same kind that faces away."""
+    corner, u, v = (-1.2, -0.5, 2.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)
+    facing = mc.Quad(corner, u, v, BLACK, emission=5.0)
+    away = mc.Quad((0.4, -0.5, 2.0), v, u, BLACK, emission=5.0)
+    exact, _ = analytic_scenes.value_and_derivatives(
+        analytic_scenes.parallelogram_irradiance, emission=5.0, corner=corner, edge_u=u, edge_v=v
+    )
+    return mc.irradiance(mc.Scene([facing, away]), (0, 0, 0), (0, 0, 1), bounces=0, lights="nee"), exact, 1 << 22
+
+
+def convex_ball():
+    """Return the radiance of a sphere under a white sky: all that it scatters escapes, so it is albedo times sky."""
+    scene = mc.Scene([mc.Sphere((0.3, 0.2, -0.1), 0.7, mc.Diffuse(0.5))], sky=2.0)
+    return mc.radiance(scene, (3, 1, 2), (-2.7, -0.8, -2.1), bounces=3, lights="none"), 1.0, 1 << 20
+
+
+SCENES = {
+    "furnace": lambda: furnace("cosine"),
+    "furnace, uniform": lambda: furnace("uniform"),
+    "furnace, mis": lit_furnace,
+    "rectangle, nee": lambda: rectangle("nee"),
+    "rectangle, mis": lambda: rectangle("mis"),
+    "two-faced": two_faced,
+    "convex ball": convex_ball,
+}
+
+
+# The rest are among the scenes of test_analytic_scenes.
+@pytest.mark.parametrize("name", ["rectangle, mis", "two-faced", "convex ball"])
+def test_the_right_estimator_passes(name):
+    check(*SCENES[name]())
+
+
+# ---------------------------------------------------------------------------------------- mutants
+#
+# A mutant replaces one function by ``wrong(right)``; its name says what is wrong.
+
+
+def no_cosine_at_the_light(right):
+    def wrong(light, *args):
+        drawn = right(light, *args)
+        return drawn._replace(inverse_pdf=light.area / (drawn.distance * drawn.distance))
+
+    return wrong
+
+
+def density_per_area(right):
+    def wrong(light, *args):
         return right(light, *args)._replace(inverse_pdf=light.area)
 
-    monkeypatch.setattr(shapes, "sample_quad_light", mutant)
-    return LAMP(lights="nee")
+    return wrong
 
 
-def weights_above_one(monkeypatch):
-    """MIS weights that sum to 1.02."""
-    right = paths.power_heuristic
-    monkeypatch.setattr(paths, "power_heuristic", lambda *densities: 1.02 * right(*densities))
-    return LAMP(lights="mis")
+def weights_that_sum_to_1_02(right):
+    return lambda *args: 1.02 * right(*args)
 
 
-def both_strategies_in_full(monkeypatch):
-    """Light counted by both strategies without weights."""
-    monkeypatch.setattr(paths, "power_heuristic", lambda *densities: 1.0)
-    return LAMP(lights="mis")
+def one_event_too_few(right):
+    def wrong(scene, strategy, u, first, state, bounces, observe=None):
+        return right(scene, strategy, u, first, state, bounces - 1, observe)
+
+    return wrong
 
 
-def one_bounce_fewer(monkeypatch):
-    """A path that stops one event early."""
-    return dataclasses.replace(FURNACE(), integrand=FURNACE(bounces=2).integrand)
+class Reused:
+    """A point of the hypercube in which coordinate ``taken`` is the one at ``given``."""
+
+    def __init__(self, u, taken, given):
+        self.u, self.taken, self.given = u, taken, given
+
+    def __getitem__(self, k):
+        return self.u[jnp.where(k == self.taken, self.given, k)]
 
 
-def reused_coordinate(monkeypatch):
-    """Both coordinates of the light point the same."""
-    right = shapes.sample_quad_light
-    monkeypatch.setattr(shapes, "sample_quad_light", lambda light, *args: right(light, *args[:-1], args[-2]))
-    return LAMP(lights="nee")
+def light_picked_by_the_direction_that_led_here(right):
+    # An event has five coordinates: polar, azimuth, two for the point on the light, one to pick the light.
+    def wrong(scene, strategy, surface, u, first, *rest):
+        return right(scene, strategy, surface, Reused(u, first + 4, first - 4), first, *rest)
+
+    return wrong
 
 
-def cube_directions(monkeypatch):
-    """Normalised points of a cube for directions, folded to the upper side."""
+def every_event_uses_the_first_coordinates(right):
+    def wrong(scene, strategy, u, first, *rest):
+        return right(scene, strategy, u, 0, *rest)
 
-    def mutant(u1, u2):
-        third = jnp.modf(u1 * 4096.0)[0]
-        return normalize(Vec3(2.0 * u1 - 1.0, 2.0 * u2 - 1.0, third + 1e-3))
-
-    monkeypatch.setattr(materials, "sample_cosine_hemisphere", mutant)
-    return LAMP(lights="none")
+    return wrong
 
 
-def reversed_polar_angle(monkeypatch):
-    """Directions uniform over the hemisphere, weighted as if they were cosine-weighted."""
-    monkeypatch.setattr(materials, "sample_cosine_hemisphere", warps.sample_uniform_hemisphere)
-    return LAMP(lights="none")
+def cube_normalised_direction(right):
+    # A point drawn in the upper half of a cube and scaled to unit length crowds toward the cube's edges.
+    def wrong(u1, u2):
+        z = u1 * 4096.0 - jnp.floor(u1 * 4096.0)
+        return normalize(Vec3(2.0 * u1 - 1.0, 2.0 * u2 - 1.0, z))
+
+    return wrong
 
 
-MUTANTS = [
-    missing_cosine,
-    area_for_solid_angle,
-    weights_above_one,
-    both_strategies_in_full,
-    one_bounce_fewer,
-    reused_coordinate,
-    cube_directions,
-    reversed_polar_angle,
+def light_shines_from_its_back(right):
+    def wrong(light, point, own, u1, u2):
+        front, turned = right(light, point, own, u1, u2), light._replace(normal=-light.normal)
+        return front._replace(inverse_pdf=front.inverse_pdf + right(turned, point, own, u1, u2).inverse_pdf)
+
+    return wrong
+
+
+def surfaces_shadow_themselves(right):
+    return lambda sphere, ray, own: right(sphere, ray, False)
+
+
+MUTANTS = [  # what is wrong, where (the modules that hold the name), and the scene that shows it
+    (no_cosine_at_the_light, [shapes], "sample_quad_light", "rectangle, nee"),
+    (density_per_area, [shapes], "sample_quad_light", "rectangle, nee"),
+    (weights_that_sum_to_1_02, [paths, materials], "power_heuristic", "rectangle, mis"),
+    (one_event_too_few, [paths], "follow", "furnace"),
+    (light_picked_by_the_direction_that_led_here, [paths], "_direct_light", "furnace, mis"),
+    (every_event_uses_the_first_coordinates, [paths], "scatter", "furnace, uniform"),
+    (cube_normalised_direction, [materials, warps], "sample_uniform_hemisphere", "furnace, uniform"),
+    (light_shines_from_its_back, [shapes], "sample_quad_light", "two-faced"),
+    (surfaces_shadow_themselves, [shapes], "intersect_sphere", "convex ball"),
 ]
 
 
-@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.__name__)
-def test_mutant_fails(mutant, monkeypatch, fresh):
-    scene = mutant(monkeypatch)
-    with pytest.raises(AssertionError, match="standard errors off"):
-        check(scene)
+@pytest.mark.parametrize(("mutate", "modules", "name", "scene"), MUTANTS, ids=lambda x: getattr(x, "__name__", ""))
+def test_the_check_rejects_a_mutant(mutate, modules, name, scene, monkeypatch):
+    wrong, calls = mutate(getattr(modules[0], name)), []
+
+    def counted(*args):
+        calls.append(name)
+        return wrong(*args)
+
+    for module in modules:
+        monkeypatch.setattr(module, name, counted)
+    # It fails for its mean: its error bar is as small as that of the right one.
+    with pytest.raises(AssertionError, match=r"^the mean is more than 5 standard errors off"):
+        check(*SCENES[scene]())
+    assert calls, "the mutant has not run"
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: FURNACE(directions="uniform"),
-        FURNACE,
-        lambda: LAMP(lights="none"),
-        lambda: LAMP(lights="nee"),
-        lambda: LAMP(lights="mis"),
-    ],
-    ids=["uniform furnace", "furnace", "none", "nee", "mis"],
-)
-def test_the_right_code_passes(make):
-    check(make())
+def test_a_kernel_that_was_compiled_before_is_not_a_mutant(monkeypatch):
+    # Why ``fresh`` is needed: the driver keeps the kernel of an integrand that it knows.
+    integrand, _, n = SCENES["rectangle, nee"]()
+    right = mc.integrate(integrand, n=n, key=1).mean
+    monkeypatch.setattr(shapes, "sample_quad_light", density_per_area(shapes.sample_quad_light))
+    assert mc.integrate(integrand, n=n, key=1).mean == right
+
+
+# ---------------------------------------------------------------------------------------- the check itself
+
+
+def estimate(mean, variance, n=10_000, nonfinite=0):
+    return SimpleNamespace(mean=mean, variance=variance, n=n, nonfinite=nonfinite)
+
+
+def test_the_check_passes_only_on_evidence():
+    uniform = estimate(0.501, 1 / 12)
+    assert_unbiased(uniform, 0.5, rel_precision=0.01)
+    assert_unbiased(uniform, 0.5, rel_precision=0.01, variance=1 / 12)
+    with pytest.raises(AssertionError, match=r"too wide to be evidence: mean 0\.501, exact 0\.5, .* n = 10,000"):
+        assert_unbiased(uniform, 0.5, rel_precision=1e-3)
+    with pytest.raises(AssertionError, match="too wide to be evidence"):
+        assert_unbiased(uniform, 0.5, rel_precision=0.01, variance=10.0)
+    with pytest.raises(AssertionError, match=r"^the mean is more than 5 standard errors off"):
+        assert_unbiased(uniform, 0.52, rel_precision=0.01)
+    with pytest.raises(AssertionError, match="too wide"):
+        assert_unbiased(uniform, 0.0, rel_precision=0.01)
+
+
+def test_the_check_looks_at_every_component_and_every_value():
+    variance = np.full(2, 1 / 12)
+    assert_unbiased(estimate(np.array([0.501, 0.499]), variance), [0.5, 0.5], rel_precision=0.01)
+    with pytest.raises(AssertionError, match="5 standard errors off"):
+        assert_unbiased(estimate(np.array([0.501, 0.499]), variance), [0.5, 0.6], rel_precision=0.01)
+    for bad in (np.nan, np.inf):
+        with pytest.raises(AssertionError, match="1 values were not finite"):
+            assert_unbiased(estimate(np.array([0.5, bad]), variance, nonfinite=1), [0.5, 0.5], rel_precision=0.01)
+    with pytest.raises(AssertionError, match="3 values were not finite"):
+        assert_unbiased(estimate(0.5, 1 / 12, nonfinite=3), 0.5, rel_precision=0.01)
+    with pytest.raises(AssertionError):  # of one sample there is no variance
+        assert_unbiased(estimate(0.5, np.nan, n=1), 0.5, rel_precision=0.01)
+
+
+def test_values_that_do_not_vary_may_be_off_by_rounding_only():
+    constant = estimate(3.0, 1e-14)
+    assert_unbiased(constant, 3.0, rel_precision=1e-9)
+    assert_unbiased(constant, 3.0 * (1 + 9e-6), rel_precision=1e-9)
+    for factor in (1 + 2e-5, 1 - 2e-5, 2.0, -1.0):
+        with pytest.raises(AssertionError, match="5 standard errors off"):
+            assert_unbiased(constant, 3.0 * factor, rel_precision=1e-9)
+    assert_unbiased(estimate(0.0, 0.0), 0.0, rel_precision=0.0)
+    for wrong in (estimate(1e-30, 0.0), estimate(0.0, 1e-30)):
+        with pytest.raises(AssertionError):
+            assert_unbiased(wrong, 0.0, rel_precision=0.0)

@@ -165,7 +165,7 @@ def test_no_ray_leaves_a_closed_sphere(center, radius):
     assert mc.integrate(inside, n=100_000, key=5).mean < 1e-8
 
 
-@pytest.mark.parametrize("room", ["cube", "sphere"])
+@pytest.mark.parametrize("room", [pytest.param("cube", marks=pytest.mark.slow), "sphere"])
 def test_a_thousand_events_stay_finite_and_exact(room):
     scene = getattr(analytic_scenes, f"{room}_furnace")(albedo=1.0, bounces=1000)
     assert_unbiased(mc.integrate(scene.integrand, n=2_000), 1001.0, rel_precision=1e-6)
@@ -266,9 +266,8 @@ def test_sphere_light_that_shines_inward():
     check_directions(wi, inverse_pdf, found, 4 * np.pi, np.zeros(3))
     *_, inverse_pdf, _, _ = light_samples(light, (0.0, 0.0, 0.0))
     assert (inverse_pdf == 0).all()  # from outside its bright side cannot be seen
-    for lights in ("nee", "mis"):
-        outside = mc.irradiance(mc.Scene([light]), (0, 0, 0), (0, 0, 1), bounces=0, lights=lights)
-        assert_unbiased(mc.integrate(outside, n=10_000), 0.0, rel_precision=0.0)
+    outside = mc.irradiance(mc.Scene([light]), (0, 0, 0), (0, 0, 1), bounces=0)
+    assert_unbiased(mc.integrate(outside, n=10_000), 0.0, rel_precision=0.0)
 
 
 def test_quad_light_is_sampled_by_area():
@@ -348,13 +347,13 @@ def check_agreement(name, strategies, n, rel_precision):
 @pytest.mark.parametrize(
     ("name", "strategies", "rel_precision"),
     [
-        ("gallery", [STRATEGIES[0], STRATEGIES[3], STRATEGIES[4]], 2e-3),
-        ("cornell", [STRATEGIES[0], STRATEGIES[5]], 6e-3),
+        ("gallery", [STRATEGIES[0], STRATEGIES[3]], 2.5e-3),
+        ("cornell", [STRATEGIES[0], STRATEGIES[5]], 8e-3),
         ("mirror box", [STRATEGIES[0], STRATEGIES[4]], 3e-2),
     ],
 )
 def test_strategies_agree(name, strategies, rel_precision):
-    check_agreement(name, strategies, 1 << 22, rel_precision)
+    check_agreement(name, strategies, 1 << 21, rel_precision)
 
 
 @pytest.mark.slow
@@ -363,11 +362,10 @@ def test_all_strategies_agree_closely(name, rel_precision):
     check_agreement(name, STRATEGIES, 1 << 26, rel_precision)
 
 
-@pytest.mark.parametrize("directions", ["cosine", "uniform"])
-def test_a_convex_body_under_a_white_sky(directions):
+def test_a_convex_body_under_a_white_sky():
     # Every direction that a sphere scatters to shows the sky: radiance albedo * sky, whatever the number of events.
     ball = mc.Sphere((0.3, 0.2, -0.1), 0.7, mc.Diffuse((0.2, 0.5, 0.8)))
-    seen = mc.radiance(mc.Scene([ball], sky=2.0), (3, 1, 2), (-2.7, -0.8, -2.1), bounces=3, directions=directions)
+    seen = mc.radiance(mc.Scene([ball], sky=2.0), (3, 1, 2), (-2.7, -0.8, -2.1), bounces=3, directions="uniform")
     assert_unbiased(mc.integrate(seen, n=1 << 20), [0.4, 1.0, 1.6], rel_precision=1e-3)
 
 
@@ -378,7 +376,7 @@ def test_render_agrees_with_the_integral_over_its_film():
     scene, camera = VIEWS["mirror box"]()
     image = mc.render(scene, camera, spp=2048, bounces=BOUNCES, key=9)
     assert image.mean.shape == image.stderr.shape == (16, 24, 3)
-    mean, error = image_mean("mirror box", "mis", "cosine", 1 << 22)
+    mean, error = image_mean("mirror box", "mis", "cosine", 1 << 21)
     image_error = np.sqrt((image.stderr**2).sum((0, 1))) / (16 * 24)
     assert (image_error < 0.03 * mean).all()
     assert (np.abs(image.mean.mean((0, 1)) - mean) < 5 * np.hypot(error, image_error)).all()
@@ -411,19 +409,18 @@ def test_grey_and_coloured_code_give_the_same_grey():
     np.testing.assert_allclose(three, np.stack([one] * 3, -1), rtol=1e-5)
 
 
-@pytest.mark.parametrize("color", [1.0, (1.0, 0.5, 0.2)])
-def test_clamp_scales_to_the_threshold(color):
-    scene, camera = lamp_and_floor(color)
-    options = {"bounces": 2, "directions": "uniform", "lights": "none"}
+def test_clamp_scales_to_the_threshold():
+    scene, camera = lamp_and_floor()
+    options = {"bounces": 1, "directions": "uniform", "lights": "none"}
     plain = mc.draw(mc.path_integrand(scene, camera, **options), n=4096).value
     clamped = mc.draw(mc.path_integrand(scene, camera, **options, clamp=0.5), n=4096).value
-    y = np.asarray(mc.luminance(plain))
-    assert 0.01 < (y > 0.5).mean() < 0.9
-    assert np.asarray(mc.luminance(clamped)).max() <= 0.5 * (1 + 4 * EPS)
-    scale = np.minimum(0.5 / np.maximum(y, 0.5), 1.0)
-    np.testing.assert_allclose(clamped, plain * (scale if plain.ndim == 1 else scale[:, None]), rtol=1e-6)
-    if plain.ndim == 1:
-        np.testing.assert_allclose(clamped, np.minimum(plain, 0.5), rtol=1e-6)
+    assert 0.01 < (plain > 0.5).mean() < 0.9
+    np.testing.assert_allclose(clamped, np.minimum(plain, 0.5), rtol=1e-6)
+    # A colour keeps its hue: all channels are scaled alike.
+    colors = np.random.default_rng(6).uniform(0, 2, (1000, 3)) ** 3
+    scaled, y = np.asarray(mc.clamp_luminance(jnp.asarray(colors), 0.5)), np.asarray(mc.luminance(colors))
+    np.testing.assert_allclose(scaled, colors * np.minimum(0.5 / y, 1.0)[:, None], rtol=1e-5)
+    assert np.asarray(mc.luminance(scaled)).max() <= 0.5 * (1 + 4 * EPS)
 
 
 def test_replay_shows_the_samples_of_an_image():
@@ -470,9 +467,10 @@ def test_a_receiver_on_a_sphere_sees_the_whole_sky():
 
 
 def test_irradiance_in_a_furnace():
-    scene = mc.Scene(cube(albedo=0.5, emission=1.0))
-    for point in ((0.3, 0.6, 0.0), (0.2, 0.9, 0.5)):
-        received = mc.irradiance(scene, point, (0, 0, 1), bounces=2, lights="none")
+    scene = mc.Scene([mc.Sphere((0, 0, 0), 2.0, mc.Diffuse(0.5), emission=1.0, inward=True)])
+    up = rotation(2)[0]
+    for point in (-2.0 * up, 0.7 * up):  # on the wall and in the middle
+        received = mc.irradiance(scene, point, up, bounces=2, lights="none")
         assert_unbiased(mc.integrate(received, n=4096), math.pi * 1.75, rel_precision=1e-6)
 
 
@@ -538,13 +536,13 @@ def derivative(make, arguments, dim, n):
 
 
 def test_derivative_of_the_furnace_is_exact():
-    furnace = analytic_scenes.cube_furnace(albedo=0.5, emission=1.0)
+    furnace = analytic_scenes.sphere_furnace(albedo=0.5, emission=1.0)
 
     def make(albedo, emission):
-        scene = mc.Scene(cube(albedo=albedo, emission=emission))
-        return lambda u: mc.radiance(scene, (0.3, 0.6, 0.4), VIEW, bounces=3, lights="none")(u).mean()
+        scene = mc.Scene([mc.Sphere((0, 0, 0), 2.0, mc.Diffuse(albedo), emission, inward=True)])
+        return lambda u: mc.radiance(scene, (0.6, -0.4, 0.2), VIEW, bounces=3, lights="none")(u).mean()
 
-    found = derivative(make, {"albedo": 0.5, "emission": 1.0}, 6, 256)
+    found = derivative(make, {"albedo": 0.5, "emission": 1.0}, furnace.integrand.dim, 256)
     for name, (mean, error) in found.items():
         assert mean == pytest.approx(furnace.derivatives[name], rel=1e-4) and error < 1e-5
 
@@ -576,15 +574,25 @@ def check_derivatives(scene, make, arguments):
         assert (error < 0.02 * np.abs(exact).max()).all()
 
 
-@pytest.mark.parametrize("lights", [pytest.param("nee", marks=pytest.mark.slow), "mis"])
-def test_derivatives_of_paths_are_finite(lights):
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("lights", "ball"),
+    [
+        ("mis", mc.Diffuse(0.5)),
+        pytest.param("mis", mc.Mirror(0.9), marks=SLOW),
+        pytest.param("nee", mc.Mirror(0.9), marks=SLOW),
+    ],
+)
+def test_derivatives_of_paths_are_finite(lights, ball):
     def make(radius, corner, center, albedo):
         lamps = [
             mc.Quad(corner, (0, 0, 0.2), (0.2, 0, 0), mc.Diffuse(0.2), 5.0),
-            mc.Sphere((0.8, 0.2, 0.8), radius, mc.Diffuse(0.5), 2.0),
+            mc.Sphere((0.8, 0.2, 0.8), radius, ball, 2.0),
         ]
-        balls = [mc.Sphere(center, radius, mc.Diffuse(albedo)), mc.Sphere((0.2, 0.2, 0.2), 0.1, mc.Mirror(0.9))]
-        scene = mc.Scene([*cube()[1:2], *lamps, *balls])  # five sides are open: rays leave the scene
+        floor = cube()[2]  # the other sides are open: rays leave the scene
+        scene = mc.Scene([floor, *lamps, mc.Sphere(center, radius, mc.Diffuse(albedo))])
         return lambda u: mc.radiance(scene, (0.3, 0.6, 0.4), VIEW, bounces=3, lights=lights)(u).mean()
 
     arguments = {"radius": 0.1, "corner": (0.4, 0.9, 0.4), "center": (0.5, 0.3, 0.5), "albedo": (0.5, 0.6, 0.7)}

@@ -42,7 +42,7 @@ def is_firefly(value):
 class Settings:
     """Options of the study: ``spp`` samples for each pixel of the reference; fewer for everything else."""
 
-    spp: int = 4096
+    spp: int = 2048
     width: int = 192
     height: int = 128
     seed: int = 0
@@ -54,8 +54,8 @@ class Settings:
 
     @property
     def ladder(self):
-        """Sample counts of the independent renders that show convergence, up to 1024 or a quarter of the reference."""
-        return [1 << k for k in range(min(1024, self.spp // 4).bit_length())]
+        """Sample counts of the independent renders that show convergence, up to 1024 or half of the reference."""
+        return [1 << k for k in range(min(1024, self.spp // 2).bit_length())]
 
     def replicates(self, n):
         """Independent renders of ``n`` samples per pixel: more where they are cheap and each is noisy."""
@@ -68,12 +68,12 @@ def run(folder, settings: Settings = Settings()) -> Path:
     scene, camera = mirror_box(True, settings.width, settings.height)
     calm_scene, _ = mirror_box(False, settings.width, settings.height)
     pixels = camera.width * camera.height
-    total = pixels * (settings.spp + settings.spp // 2 + sum(n * settings.replicates(n) for n in settings.ladder) + 33)
+    total = pixels * (2 * settings.spp + sum(n * settings.replicates(n) for n in settings.ladder) + 33)
     with Stages(total, settings.progress) as stages:
         shoot = partial(_shoot, camera, settings, stages)
         reference = shoot(scene, settings.spp, 0, "mirror reference", _all_tallies())
         few = shoot(scene, 16, 4, "mirror, 16 spp", _all_tallies())
-        calm = shoot(calm_scene, settings.spp // 2, 1, "diffuse reference")
+        calm = shoot(calm_scene, settings.spp, 1, "diffuse reference")
         calm16 = shoot(calm_scene, 16, 2, "diffuse, 16 spp")
         # Compile before the timed renders.
         shoot(scene, 1, 3, "warm-up", {"clamped": Moments(clamp_value, order=2)})

@@ -15,21 +15,9 @@ from ..integration.moments import Moments, MomentsResult
 from ..integration.samplers import Independent
 from . import shapes
 from .camera import Camera
+from .hits import Hit, Surface, closest_hit, primitive_at, surface_at
 from .materials import luminance
-from .paths import (
-    Hit,
-    PathState,
-    Strategy,
-    Surface,
-    black,
-    closest_hit,
-    finish,
-    follow,
-    primitive_at,
-    scatter,
-    surface_at,
-    trace,
-)
+from .paths import PathState, Strategy, black, finish, follow, scatter, trace
 from .primitives import as_vec3, is_concrete
 from .scene import Scene
 from .vec import Vec3, normalize

@@ -78,7 +78,18 @@ class Scene:
         ValueError: something else in the list, or a sky that is no radiance.
     """
 
-    _data = ("quads", "spheres", "normal", "anchor", "inverse_radius", "inset", "reflectance", "emitters", "sky", "present")
+    _data = (
+        "quads",
+        "spheres",
+        "normal",
+        "anchor",
+        "inverse_radius",
+        "inset",
+        "reflectance",
+        "emitters",
+        "sky",
+        "present",
+    )
     _static = ("channels", "shapes", "lights", "mirrors", "casters", "empty")
 
     def __init__(self, primitives, sky=None):
