@@ -40,7 +40,10 @@ TILTED = ((-1, -1, 1), (2, 0.3, 0.1), (0.2, 0.4, -2))
 LAMP = mc.Quad((-0.2, 1, -0.2), (0.4, 0, 0), (0, 0, 0.4), mc.Diffuse(0.0), emission=5.0)
 
 
-def scene(ball=mc.Diffuse(0.5), floor=FLOOR, lamp=LAMP, sky=None, albedo=0.5, more=()):
+GREY = mc.Diffuse(0.5)
+
+
+def scene(ball=GREY, floor=FLOOR, lamp=LAMP, sky=None, albedo=0.5, more=()):
     return mc.Scene([mc.Quad(*floor, mc.Diffuse(albedo)), mc.Sphere((0, 0, 0), 0.5, ball), lamp, *more], sky)
 
 

@@ -145,7 +145,7 @@ def test_no_ray_leaves_a_closed_cube(name):
     turn, shift = CUBES[name]
     scene = mc.Scene(cube(turn, shift, albedo=1.0), sky=1.0)
     rng = np.random.default_rng(11)
-    n = 1 << 20
+    n = 1 << 21
     found = mc.intersect(scene, rng.uniform(0.001, 0.999, (n, 3)) @ turn.T + shift, rng.normal(size=(n, 3)))
     assert (np.asarray(found.primitive) < 0).sum() == 0
     # Ten million rays from the walls themselves: nothing shines but the sky, and white walls would let it be seen.
