@@ -40,8 +40,9 @@ def lit_furnace():
 
 
 def rectangle(lights):
-    scene = analytic_scenes.rectangle_light(lights=lights)
-    return scene.integrand, scene.exact, 1 << 20
+    large = {"corner": (-0.6, -0.5, 0.6), "edge_u": (0.0, 1.0, 0.2), "edge_v": (1.2, 0.0, 0.0)}
+    scene = analytic_scenes.rectangle_light(**large, lights=lights)
+    return scene.integrand, scene.exact, 1 << 22
 
 
 def two_faced():
@@ -65,6 +66,7 @@ SCENES = {
     "furnace": lambda: furnace("cosine"),
     "furnace, uniform": lambda: furnace("uniform"),
     "furnace, mis": lit_furnace,
+    "rectangle, none": lambda: rectangle("none"),
     "rectangle, nee": lambda: rectangle("nee"),
     "rectangle, mis": lambda: rectangle("mis"),
     "two-faced": two_faced,
@@ -73,7 +75,7 @@ SCENES = {
 
 
 # The rest are among the scenes of test_analytic_scenes.
-@pytest.mark.parametrize("name", ["rectangle, mis", "two-faced", "convex ball"])
+@pytest.mark.parametrize("name", ["rectangle, none", "rectangle, nee", "rectangle, mis", "two-faced", "convex ball"])
 def test_the_right_estimator_passes(name):
     check(*SCENES[name]())
 
@@ -100,6 +102,18 @@ def density_per_area(right):
 
 def weights_that_sum_to_1_02(right):
     return lambda *args: 1.02 * right(*args)
+
+
+def both_strategies_count_in_full(right):
+    return lambda *args: 0.0 * right(*args) + 1.0
+
+
+def light_point_on_a_diagonal(right):
+    return lambda light, point, own, u1, u2: right(light, point, own, u1, u1)
+
+
+def uniform_directions_with_the_weight_of_cosine_ones(right):
+    return warps.sample_uniform_hemisphere
 
 
 def one_event_too_few(right):
@@ -159,6 +173,9 @@ MUTANTS = [  # what is wrong, where (the modules that hold the name), and the sc
     (no_cosine_at_the_light, [shapes], "sample_quad_light", "rectangle, nee"),
     (density_per_area, [shapes], "sample_quad_light", "rectangle, nee"),
     (weights_that_sum_to_1_02, [paths, materials], "power_heuristic", "rectangle, mis"),
+    (both_strategies_count_in_full, [paths, materials], "power_heuristic", "rectangle, mis"),
+    (light_point_on_a_diagonal, [shapes], "sample_quad_light", "rectangle, nee"),
+    (uniform_directions_with_the_weight_of_cosine_ones, [materials], "sample_cosine_hemisphere", "rectangle, none"),
     (one_event_too_few, [paths], "follow", "furnace"),
     (light_picked_by_the_direction_that_led_here, [paths], "_direct_light", "furnace, mis"),
     (every_event_uses_the_first_coordinates, [paths], "scatter", "furnace, uniform"),
