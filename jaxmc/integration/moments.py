@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+PIECE = 8192  # numbers
+
 
 @dataclasses.dataclass(frozen=True)
 class Moments:
@@ -148,14 +150,21 @@ class _PowerSums:
         self._accumulate(..., _shift(other.n, other.total + other.carry, other.center - self.center))
         self.n, self.nonfinite = self.n + other.n, self.nonfinite + other.nonfinite
 
+    @np.errstate(all="ignore")
     def moments(self):
-        n = np.maximum(self.n, 1)
-        powers = self.total + self.carry
-        with np.errstate(all="ignore"):
-            shift = powers[0] / n
-            central = [x / n for x in _shift(self.n, powers, -shift)[1:]]
-        central[0] = np.maximum(central[0], 0.0)
-        return MomentsResult(self.n, np.where(self.n > 0, self.center + shift, np.nan), central, self.nonfinite)
+        mean, central = np.empty(self.center.size), np.empty((len(self.total) - 1, self.center.size))
+        n, center = self.n.ravel(), self.center.ravel()
+        total, carry = (x.reshape(len(x), -1) for x in (self.total, self.carry))
+        # Work on pieces that stay in the cache.
+        for first in range(0, len(mean), PIECE):
+            piece = slice(first, first + PIECE)
+            powers = total[:, piece] + carry[:, piece]
+            shift = powers[0] / n[piece]
+            mean[piece] = center[piece] + shift
+            central[:, piece] = [x / n[piece] for x in _shift(n[piece], powers, -shift)[1:]]
+        np.maximum(central[0], 0.0, out=central[0])
+        shape = self.center.shape
+        return MomentsResult(self.n, mean.reshape(shape), [x.reshape(shape) for x in central], self.nonfinite)
 
 
 def _shift(n, powers, d):

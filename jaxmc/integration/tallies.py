@@ -22,7 +22,7 @@ from .moments import apply, block_sum
 BINS_PER_OCTAVE = 8
 BIN_BITS = 20  # bits of a float32 below the exponent and the leading three mantissa bits
 BINS = 0x7F800000 >> BIN_BITS  # every finite non-negative float32 has its bin
-CELL_ROWS = 16  # rows of one cell: 16 * 256 samples of 20 bits each stay below 2^32
+CELL = 1 << (32 - BIN_BITS)  # samples of BIN_BITS bits each whose sum stays below 2^32
 
 
 class Histogram(NamedTuple):
@@ -64,10 +64,12 @@ class TailHistogram:
         rest = bits & jnp.uint32((1 << BIN_BITS) - 1)
         rho = rest.astype(jnp.float32) * 2.0**-BIN_BITS
         square = jnp.minimum(jnp.round(rho * rho * 2.0**BIN_BITS), 2.0**BIN_BITS - 1).astype(jnp.uint32)
-        cell = jnp.arange(c.shape[0])[:, None] // CELL_ROWS
+        rows, lanes = c.shape
+        cell_rows = CELL // lanes
+        cell = jnp.arange(rows)[:, None] // cell_rows
         # Send what is not kept to a spare bin behind the last one.
         bin_index = jnp.where(keep, (bits >> BIN_BITS) & 0x7FF, BINS).astype(jnp.int32) + cell * (BINS + 1)
-        cells = -(-c.shape[0] // CELL_ROWS)
+        cells = -(-rows // cell_rows)
 
         def add_up(x):
             sums = jax.ops.segment_sum(x.ravel(), bin_index.ravel(), cells * (BINS + 1))
