@@ -256,7 +256,7 @@ def test_kernels_count_across_word_boundaries(start):
 
 
 def test_any_sample_can_be_drawn():
-    indices = [0, 2**32 - 1, 2**32, 2**40 + 5, 2**63 - 1]
+    indices = [0, 2**32 - 1, 2**32, 2**40 + 5, 2**63 - 1, 2**63, 2**64 - 1]
     samples = mc.draw(lambda u: 2.0 * u, dim=3, indices=indices, key=9)
     assert samples.index.tolist() == indices and samples.index.dtype == np.uint64
     seed = jnp.asarray(seed_words(9))
@@ -863,7 +863,8 @@ MISTAKES = [
         (f"thresholds={t!r}", partial(mc.ClampLadder, t), "thresholds must be")
         for t in ((), (0.0, 1.0), (2.0, 1.0), (1.0, 1.0), (-1.0,), (1.0, math.inf), (math.nan,), ((1.0,),))
     ],
-    *[(f"k={k!r}", partial(mc.TopSamples, k), "k >= 1") for k in (0, -3)],
+    *[(f"k={k!r}", partial(mc.TopSamples, k), "k >= 1") for k in (0, -3, 2.5, True)],
+    ("name taken", partial(mc.integrate, ONE, n=10, tallies={"moments": mc.Moments()}), "another name"),
     *[(f"order={o!r}", partial(mc.Moments, order=o), "orders") for o in (1, 5, None)],
     ("vector in a histogram", partial(VECTOR, tallies={"tail": mc.TailHistogram()}), "of=mc.luminance"),
     ("vector in top samples", partial(VECTOR, tallies={"top": mc.TopSamples()}), "TopSamples needs one number"),

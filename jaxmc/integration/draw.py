@@ -31,11 +31,19 @@ def draw(f, *, dim=None, n=None, indices=None, key=0, sampler=Independent()) -> 
         raise ValueError("draw wants either n, for the first n samples, or indices")
     if indices is None:
         indices = np.arange(positive("n", n), dtype=np.uint64)
-    given = np.asarray(indices)
-    if given.ndim != 1 or given.dtype.kind not in "iu" or (given.dtype.kind == "i" and (given < 0).any()):
-        raise ValueError(f"indices must be a list of integers in [0, 2^64), got {indices!r}")
+    given = _as_indices(indices)
     u, value = _draw(integrand, jnp.asarray(seed_words(key)), index_words(given), sampler=sampler)
-    return Samples(given.astype(np.uint64), np.asarray(u), jax.tree.map(np.asarray, value))
+    return Samples(given, np.asarray(u), jax.tree.map(np.asarray, value))
+
+
+def _as_indices(indices):
+    # NumPy makes floats of a list that holds integers below and above 2^63: look at each by itself.
+    given = indices if isinstance(indices, np.ndarray) else np.array(indices, object)
+    words = given.ravel().tolist()
+    whole = all(isinstance(i, int | np.integer) and not isinstance(i, bool) and 0 <= i < 1 << 64 for i in words)
+    if given.ndim != 1 or not whole:
+        raise ValueError(f"indices must be a list of integers in [0, 2^64), got {indices!r}")
+    return np.array(words, np.uint64)
 
 
 @partial(jax.jit, static_argnames="sampler")

@@ -134,6 +134,8 @@ def _item_job(start, n, items, tiles, lanes):
 
 def _run(integrand, jobs, n, samples, items, key, sampler, tallies, progress, workers):
     backend.check_arithmetic()
+    if "moments" in (tallies or {}):
+        raise ValueError('the name "moments" is taken by the estimate itself; give your tally another name')
     tallies = {"moments": Moments(order=2 if items else 4), **(tallies or {})}
     static = tuple(tallies.items())
     seed = jnp.asarray(seed_words(key))

@@ -41,7 +41,7 @@ def seed_words(key) -> np.ndarray:
             seed = int.from_bytes(data.tobytes()[-8:], "big")
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= int(seed) < 1 << 64:
         raise ValueError(f"key must be an integer in [0, 2^64) or a jax.random key, got {key!r}")
-    # Spread the seed over four words, so that neighbouring seeds share nothing (Steele et al. 2014, SplitMix).
+    # Spread the seed over four words, so that neighbouring seeds share nothing.
     return np.random.SeedSequence(int(seed)).generate_state(4, np.uint32)
 
 

@@ -118,7 +118,8 @@ class Largest(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class TopSamples:
-    """The ``k`` largest samples with their indices, exact for any order of work. NaN counts as infinite.
+    """The ``k`` largest samples with their indices, exact for any order of work. NaN counts as infinite; minus infinity
+    is never among them.
 
     Attributes:
         k: how many to keep. Pareto k-hat wants more than 3 sqrt(n).
@@ -130,8 +131,8 @@ class TopSamples:
     pooled = True
 
     def __post_init__(self):
-        if self.k < 1:
-            raise ValueError(f"TopSamples keeps k >= 1 samples, got k={self.k}")
+        if not isinstance(self.k, int | np.integer) or isinstance(self.k, bool) or self.k < 1:
+            raise ValueError(f"TopSamples keeps k >= 1 samples, a whole number, got k={self.k!r}")
 
     def reduce(self, values, valid, axes):
         c = _scalar(self, values)
