@@ -87,6 +87,8 @@ def test_repeated_maximum_is_atomic():
     fit = tails.pareto_khat(_largest(Mix(1e-3, 500.0)), N)
     assert fit.status == "atomic" and np.isnan(fit.khat) and "repeated" in str(fit)
     assert tails.pareto_khat(np.ones(100), 100).status == "atomic"
+    rounded = np.concatenate([[9.0, 9.0 - 2e-6, 9.0 - 4e-6], np.random.default_rng(0).random(9_700)])
+    assert tails.pareto_khat(rounded, 10_000).status == "atomic"
     two_atoms = np.concatenate([[9.0], np.full(299, 5.0), np.random.default_rng(0).random(9_700)])
     assert tails.pareto_khat(two_atoms, 10_000).status == "atomic"
 

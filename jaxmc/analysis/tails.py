@@ -13,6 +13,7 @@ import numpy as np
 from scipy import stats
 
 RELIABLE_KHAT = 0.7  # ceiling of the reliability threshold, Vehtari et al., arXiv 1507.02646
+ROUNDING = 1e-5  # of a float32 path, relative to the tail: far below the gaps of a continuous law
 LEAST_EXCEEDANCES = 5  # fewest points a generalised Pareto law is fitted to
 
 
@@ -58,8 +59,9 @@ def pareto_khat(largest: np.ndarray, n: int) -> TailFit:
     """Fit a generalised Pareto law to the largest of ``n`` samples.
 
     ``largest``: the K largest samples, shape (K,), any order. The fit takes min(n / 5, 3 sqrt(n)) of them above the
-    next one, or as many as there are, and leaves out ties with that threshold. Where the maximum is repeated, or the
-    lowest quarter of the tail is one value, the tail is made of atoms and no continuous law is fitted.
+    next one, or as many as there are, and leaves out ties with that threshold. Where the maximum is repeated (twice
+    exactly, or three times to rounding), or the lowest quarter of the tail is one value, the tail is made of atoms and
+    no continuous law is fitted.
 
     Raises ValueError if ``largest`` is empty, not finite, or longer than ``n``.
 
@@ -74,7 +76,7 @@ def pareto_khat(largest: np.ndarray, n: int) -> TailFit:
     tail = tail[tail > 0.0]
     quarter = int(tail.size / 4 + 0.5) - 1
     reliable_below = min(1.0 - 1.0 / np.log10(n), RELIABLE_KHAT) if n > 1 else -np.inf
-    if top.size > 1 and top[0] == top[1]:
+    if _is_repeated(top, threshold):
         status = "atomic"
     elif tail.size < LEAST_EXCEEDANCES:
         status = "too few samples"
@@ -87,6 +89,11 @@ def pareto_khat(largest: np.ndarray, n: int) -> TailFit:
         status = "no mean" if khat >= 1.0 else "reliable" if khat < reliable_below else "unreliable"
         return TailFit(khat, stderr, tail.size, threshold, scale, reliable_below, min_n, status, recommended)
     return TailFit(np.nan, np.nan, tail.size, threshold, np.nan, reliable_below, np.nan, status, recommended)
+
+
+def _is_repeated(top, threshold):
+    exactly = top.size > 1 and top[0] == top[1]
+    return exactly or (top.size > 2 and top[0] - top[2] <= ROUNDING * (top[0] - threshold))
 
 
 def _fit_generalised_pareto(tail):
