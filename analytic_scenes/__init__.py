@@ -7,6 +7,7 @@ each one knows about itself.
 import functools
 import math
 
+from analytic_scenes import genz, integrands
 from analytic_scenes.furnace import cube_furnace, furnace_moments, furnace_radiance, sphere_furnace
 from analytic_scenes.irradiance import (
     corner_rectangle_irradiance,
@@ -57,6 +58,8 @@ __all__ = [
     "cube_furnace",
     "furnace_moments",
     "furnace_radiance",
+    "genz",
+    "integrands",
     "mirror_image",
     "parallelogram_in_mirror_irradiance",
     "parallelogram_irradiance",

@@ -14,8 +14,14 @@ from .integration.driver import integrate as integrate
 from .integration.driver import integrate_each as integrate_each
 from .integration.estimate import Estimate as Estimate
 from .integration.integrand import Integrand as Integrand
+from .integration.intervals import Interval as Interval
+from .integration.lattices import Lattice as Lattice
 from .integration.moments import Moments as Moments
+from .integration.nets import Halton as Halton
+from .integration.nets import Sobol as Sobol
 from .integration.samplers import Independent as Independent
+from .integration.stratified import LatinHypercube as LatinHypercube
+from .integration.stratified import Stratified as Stratified
 from .integration.tallies import ClampLadder as ClampLadder
 from .integration.tallies import Histogram as Histogram
 from .integration.tallies import TailHistogram as TailHistogram

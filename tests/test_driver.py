@@ -17,7 +17,7 @@ from scipy import stats
 
 import jaxmc as mc
 from jaxmc.analysis.clamping import clamp_curve
-from jaxmc.integration import driver, moments
+from jaxmc.integration import driver, kernel, moments
 from jaxmc.integration.estimate import with_error
 from jaxmc.integration.samplers import Index, index_words, seed_words
 from jaxmc.testing import Exponential, LogNormal, Mix, Pareto
@@ -33,7 +33,7 @@ class IndexPoint(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Counting:
+class Counting(mc.Independent):
     """A sampler whose every coordinate is the low word of the sample's index."""
 
     def point(self, seed, index):
@@ -50,11 +50,11 @@ def integrate_table(table, n=None, **options):
     return mc.integrate(mc.Integrand(_look_up, 1, (table,), lazy=True), n=n, sampler=Counting(), **options)
 
 
-def run_from(start, stop, f, tallies, sampler=None, tiles=2):
+def run_from(start, stop, f, tallies, sampler=None, blocks=2):
     """Return the estimate from the samples with indices start <= i < stop."""
-    jobs = (driver._stream_job(first, stop, tiles) for first in range(start, stop, tiles * driver.BLOCK))
-    n = stop - start
-    return driver._run(f, jobs, n, n, (), 0, sampler or mc.Independent(), tallies, None, 2)
+    run = driver.Run(f, 0, sampler or mc.Independent(), None, tallies, 2, blocks)
+    run.n = start
+    return run.stream(stop, driver.Progress(None, None))
 
 
 def same(a, b):
@@ -113,16 +113,13 @@ def test_results_do_not_depend_on_chunks_or_workers(whole, chunk, workers):
 
 def test_other_seeds_and_other_orders_give_other_results(whole, monkeypatch):
     assert not same(mc.integrate(tree, dim=2, n=N, tallies=TALLIES, key=1), whole)
-    fold = driver._fold
+    fold = driver.Run._fold
 
-    def backwards(tally, state, record, job, items):
-        if not tally.pooled:
-            record = jax.tree.map(lambda x: x[::-1], record)
-            job = job._replace(rows=job.rows[::-1])
-        fold(tally, state, record, job, items)
+    def backwards(run, name, tally, record, job):
+        fold(run, name, tally, record if tally.pooled else jax.tree.map(lambda x: x[::-1], record), job)
 
     # Moments of blocks that are added in another order differ in their last digits, and the comparison sees it.
-    monkeypatch.setattr(driver, "_fold", backwards)
+    monkeypatch.setattr(driver.Run, "_fold", backwards)
     assert not same(mc.integrate(tree, dim=2, n=N, tallies=TALLIES), whole)
 
 
@@ -231,13 +228,13 @@ def test_families_get_points_as_single_integrals_do():
 
 @pytest.mark.parametrize("start", [0, 2**32 - 3000, 2**40, 2**62 + 2**33 - 1, 2**63 - 50_000])
 def test_jobs_number_their_samples(start):
-    job = driver._stream_job(start, start + 20_000, 2)
+    (job,) = kernel.stream_jobs([(0, start, start + 20_000)], 2)
     assert job.samples == 20_000 and job.rows.sum() == 20_000
-    position = np.arange(2 * driver.BLOCK)
+    position = np.arange(20_000)
     assert np.array_equal(job.index(position), np.uint64(start) + position.astype(np.uint64))
-    wanted = (np.arange(driver.ROWS)[:, None] < job.rows[:, None, :]).ravel()
-    assert np.array_equal(wanted, position < 20_000)
-    assert driver._stream_job(start, start + 2**20, 2).samples == 2 * driver.BLOCK
+    wanted = (np.arange(kernel.ROWS)[:, None] < job.rows[:, None, :]).ravel()
+    assert np.array_equal(np.flatnonzero(wanted), position)
+    assert next(kernel.stream_jobs([(0, start, start + 2**20)], 2)).samples == 2 * kernel.BLOCK
 
 
 def skew(u):
@@ -766,7 +763,7 @@ def test_progress_counts_samples():
     calls = []
     mc.integrate(tree, dim=2, n=N, tallies=TALLIES, chunk=1, progress=lambda done, total: calls.append((done, total)))
     done, total = np.array(calls).T
-    assert (np.diff(done) > 0).all() and done[-1] == N and (total == N).all() and len(done) == -(-N // driver.BLOCK)
+    assert (np.diff(done) > 0).all() and done[-1] == N and (total == N).all() and len(done) == -(-N // kernel.BLOCK)
     calls.clear()
     f = mc.Integrand(tree_of_item, 2, (2.0,))
     options = {"tallies": FEW, "chunk": 1}
@@ -844,7 +841,11 @@ def one(u):
 ONE = mc.Integrand(one, 1)
 VECTOR = partial(mc.integrate, lambda u: u, dim=2, n=10)
 MISTAKES = [
-    *[(f"n={n!r}", partial(mc.integrate, ONE, n=n), "n must be") for n in (0, -1, 2.5, True, None, "9", 2**63)],
+    *[(f"n={n!r}", partial(mc.integrate, ONE, n=n), "n must be") for n in (0, -1, 2.5, True, "9", 2**63)],
+    ("neither n nor target", partial(mc.integrate, ONE), "how many samples"),
+    ("n and target", partial(mc.integrate, ONE, n=10, rtol=0.1), "not both"),
+    *[(f"rtol={x!r}", partial(mc.integrate, ONE, rtol=x), "rtol must be") for x in (0.0, -1.0, math.nan, "a")],
+    ("replicates=0", partial(mc.integrate, ONE, n=10, replicates=0), "replicates must be"),
     *[(f"each n={n!r}", partial(mc.integrate_each, ONE, 3, n=n), "n must be") for n in (0, 2.5)],
     *[(f"items={n!r}", partial(mc.integrate_each, ONE, n, n=3), "items must be") for n in (0, -1, 1.0)],
     *[(f"chunk={c!r}", partial(mc.integrate, ONE, n=10, chunk=c), "chunk must be") for c in (0, -5, 1.5)],

@@ -8,7 +8,7 @@ import pytest
 
 import jaxmc as mc
 from jaxmc import scenes
-from jaxmc.integration import driver
+from jaxmc.integration import kernel
 from jaxmc.integration.samplers import Independent, Index
 
 
@@ -109,12 +109,12 @@ def test_shadow_casters_are_what_can_lie_between_two_points():
 def test_other_values_run_the_same_kernel():
     camera = mc.PinholeCamera((0, 0, 3.9), (0, 0, 0), width=8, height=8)
     mc.render(scene(), camera, spp=1, bounces=3)
-    before = driver._evaluate._cache_size()
+    before = kernel.evaluate._cache_size()
     other = scene(ball=mc.Diffuse(0.3), lamp=mc.Quad((-0.3, 1, -0.2), (0.6, 0, 0), (0, 0, 0.4), mc.Diffuse(0.0), 7.0))
     mc.render(other, camera, spp=1, bounces=3, key=1)
     moved = mc.PinholeCamera((0.5, 0.2, 3.0), (0, 0, 0), fov=30, width=8, height=8)
     mc.render(scene(), moved, spp=1, bounces=3)
-    assert driver._evaluate._cache_size() == before + (other.reflectance.group != scene().reflectance.group)
+    assert kernel.evaluate._cache_size() == before + (other.reflectance.group != scene().reflectance.group)
 
 
 def test_facts_are_not_drawn_from_values_that_are_traced():

@@ -45,7 +45,7 @@ class LinearCongruence(Mutant):
     """One step of a linear congruential generator for a hash."""
 
     class Point(Point):
-        def _bits(self, dimension):
+        def bits(self, dimension):
             return self.first * jnp.uint32(747796405) + jnp.asarray(dimension).astype(jnp.uint32) * jnp.uint32(GOLDEN)
 
     def point(self, seed, index):
@@ -56,7 +56,7 @@ class NoSecondRound(Mutant):
     """A coordinate is not mixed again: dimensions are a step of the golden ratio apart."""
 
     class Point(Point):
-        def _bits(self, dimension):
+        def bits(self, dimension):
             return self.first + jnp.asarray(dimension).astype(jnp.uint32) * jnp.uint32(GOLDEN)
 
 
@@ -64,24 +64,24 @@ class ReusedDimension(Mutant):
     """Coordinates 2k and 2k + 1 are equal."""
 
     class Point(Point):
-        def _bits(self, dimension):
-            return super()._bits(jnp.asarray(dimension) // 2)
+        def bits(self, dimension):
+            return super().bits(jnp.asarray(dimension) // 2)
 
 
 class FarReuse(Mutant):
     """Coordinates repeat after 77 dimensions."""
 
     class Point(Point):
-        def _bits(self, dimension):
-            return super()._bits(jnp.asarray(dimension) % 77)
+        def bits(self, dimension):
+            return super().bits(jnp.asarray(dimension) % 77)
 
 
 class Quantised(Mutant):
     """Coordinates have 23 bits, as from the mantissa of a number in [1, 2)."""
 
     class Point(Point):
-        def _bits(self, dimension):
-            return super()._bits(dimension) & jnp.uint32(0xFFFFFE00)
+        def bits(self, dimension):
+            return super().bits(dimension) & jnp.uint32(0xFFFFFE00)
 
 
 class SeedOffset(Mutant):
@@ -117,7 +117,7 @@ class Shrunk(Mutant):
 def _evaluate(words, seeds, offsets, dims, *, sampler, raw):
     def one(word, seed, offset, dim):
         point = sampler.point(seed, Index(word[0] + offset[0], word[1]) + offset[1])
-        return point._bits(dim) if raw else point[dim]
+        return point.bits(dim) if raw else point[dim]
 
     return jax.vmap(lambda word: jax.vmap(partial(one, word))(seeds, offsets, dims))(words)
 
@@ -350,7 +350,7 @@ EXTREMES = (0, 1, 0xFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFF7F, 0xFFFFFF80, 0xFFFFF
 @pytest.mark.parametrize("word", EXTREMES, ids=hex)
 @pytest.mark.parametrize("x64", [False, True])
 def test_coordinates_lie_inside_the_unit_interval(monkeypatch, word, x64):
-    monkeypatch.setattr(Point, "_bits", lambda self, dimension: jnp.full(jnp.shape(dimension), word, jnp.uint32))
+    monkeypatch.setattr(Point, "bits", lambda self, dimension: jnp.full(jnp.shape(dimension), word, jnp.uint32))
     with jax.enable_x64(x64):
         u = np.asarray(Point(None, None)[0])
         assert u.dtype == (np.float64 if x64 else np.float32)

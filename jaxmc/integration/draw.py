@@ -20,11 +20,15 @@ class Samples(NamedTuple):
     value: Any
 
 
-def draw(f, *, dim=None, n=None, indices=None, key=0, sampler=Independent()) -> Samples:
+def draw(f, *, dim=None, n=None, indices=None, key=0, sampler=Independent(), points=None) -> Samples:
     """Return samples that ``integrate`` takes with the same key and sampler: the first ``n``, or those at ``indices``.
 
+    Points that are not independent have an index whose high word is the randomisation and whose low word is the number
+    of the point; the first n are those of randomisation 0. ``points``, n by default, is how many points a randomisation
+    has, which ``LatinHypercube`` and ``Stratified`` must know: ``estimate.recipe["points"]``.
+
     Raises:
-        ValueError: neither or both of ``n`` and ``indices``, or an index out of [0, 2^64).
+        ValueError: neither or both of ``n`` and ``indices``, an index out of [0, 2^64), or no ``points``.
     """
     integrand = as_integrand(f, dim)
     if (n is None) == (indices is None):
@@ -32,8 +36,16 @@ def draw(f, *, dim=None, n=None, indices=None, key=0, sampler=Independent()) -> 
     if indices is None:
         indices = np.arange(positive("n", n), dtype=np.uint64)
     given = _as_indices(indices)
-    u, value = _draw(integrand, jnp.asarray(seed_words(key)), index_words(given), sampler=sampler)
+    tables = point_tables(sampler, integrand.dim, n if points is None else points)
+    u, value = _draw(integrand, tables, jnp.asarray(seed_words(key)), index_words(given), sampler=sampler)
     return Samples(given, np.asarray(u), jax.tree.map(np.asarray, value))
+
+
+def point_tables(sampler, dim, points):
+    """Return the tables of a sampler, or raise ``ValueError`` where they depend on a number of points that is None."""
+    if points is None and not sampler.extensible:
+        raise ValueError(f"{sampler!r} places points by their number: pass points=estimate.recipe['points']")
+    return sampler.tables(1 if points is None else positive("points", points), dim)
 
 
 def _as_indices(indices):
@@ -47,9 +59,9 @@ def _as_indices(indices):
 
 
 @partial(jax.jit, static_argnames="sampler")
-def _draw(integrand: Integrand, seed, words, *, sampler):
+def _draw(integrand: Integrand, tables, seed, words, *, sampler):
     def one(words):
-        point = sampler.point(seed, Index(words[0], words[1]))
+        point = sampler.point(seed, Index(words[0], words[1]), *tables)
         return point[jnp.arange(integrand.dim)], integrand.at(point)
 
     return jax.vmap(one)(words)

@@ -1,9 +1,7 @@
-"""The driver: runs blocks of samples through one jitted kernel on all cores and folds the records into tallies.
+"""The driver: runs a kernel over all samples on all cores, folds the records into tallies and stops on a target.
 
-The unit of work is a block of ``ROWS x LANES`` samples. One row is evaluated at a time, so that its state stays in the
-cache; a kernel call runs a chunk of blocks; calls run on as many threads as there are cores, and XLA keeps each call on
-one of them. Records are folded in the order of the blocks: a result is the same, bit for bit, for
-any chunk size and any number of workers.
+Kernel calls run on as many threads as there are cores, and XLA keeps each call on one of them. Records are folded in
+the order of the blocks: a result is the same, bit for bit, for any chunk size and any number of workers.
 """
 
 import itertools
@@ -11,40 +9,44 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from operator import itemgetter
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from tqdm import tqdm
 
 from .. import backend
+from . import stopping
 from .estimate import Estimate
 from .integrand import Integrand, as_integrand
-from .moments import Moments
-from .samplers import Independent, Index, index_words, seed_words
+from .kernel import BLOCK, CHUNK, evaluate, item_jobs, lanes_for, stream_jobs
+from .moments import Moments, Replicates
+from .samplers import Independent, index_words, seed_words
 
-LANES = 960  # samples side by side; measured 15 % faster than 512 or 1024, where arrays compete for the same cache sets
-ROWS = 64
-VECTOR = 64  # a number of lanes that vector code divides evenly
-BLOCK = ROWS * LANES
-CHUNK = 1 << 18  # samples to a kernel call: long against the cost of a call, short against a progress bar
+REPLICATES = 16  # of a single integral
+REPLICATES_EACH = 4  # of each of a family: few samples are better not divided further
 
 
 def integrate(
-    f, *, dim=None, n, key=0, sampler=Independent(), tallies=None, progress=None, workers=None, chunk=None
+    f, *, dim=None, n=None, key=0, sampler=Independent(), replicates=None,
+    rtol=None, atol=None, max_n=None, max_seconds=None, tallies=None, progress=None, workers=None, chunk=None,
 ) -> Estimate:  # fmt: skip
-    """Estimate the integral of ``f`` over the unit hypercube from ``n`` samples.
+    """Estimate the integral of ``f`` over the unit hypercube, from ``n`` samples or until a target is met.
 
     Args:
         f: an ``Integrand``, or a function of one point of shape ``(dim,)``.
         dim: number of coordinates, for a plain function.
-        n: number of samples, up to 2^63.
+        n: number of samples, up to 2^63; with ``replicates``, of all together. ``Sobol`` and ``Lattice`` round it up.
         key: seed, an integer in [0, 2^64) or a ``jax.random`` key.
-        sampler: where the points lie.
+        sampler: where the points lie: ``Independent``, ``Sobol``, ``Lattice``, ``Halton``, ``LatinHypercube`` or
+            ``Stratified``.
+        replicates: how many independent randomisations of the points the samples are divided into; the error bar comes
+            from the spread of their means. 16 by default, and none for ``Independent``, whose samples are independent.
+        rtol, atol: stop when half the width of the 95 % interval is at most ``max(atol, rtol * |mean|)`` for every
+            component of the value; then n is not given. ``Estimate.status`` says whether that was reached.
+        max_n, max_seconds: stop there at the latest; 2^32 samples by default.
         tallies: further tallies by name, such as ``{"tail": TailHistogram()}``; results are ``estimate["tail"]``.
         progress: True for a progress bar, a word for one with that title, or a function of (samples done, n).
         workers: number of threads; all cores by default.
@@ -54,32 +56,40 @@ def integrate(
         An ``Estimate``.
 
     Raises:
-        ValueError: ``n`` is not a positive integer, ``dim`` is missing or contradicts ``f``, or a tally does not fit.
+        ValueError: neither or both of n and a target, a number out of range, ``dim`` is missing or contradicts ``f``,
+            or a tally does not fit.
     """
     integrand = as_integrand(f, dim)
+    target = stopping.target(n, rtol, atol, max_n, max_seconds)
+    replicates = _replicates(replicates, sampler, REPLICATES)
+    run = Run(integrand, key, sampler, replicates, tallies, workers, blocks=_blocks(chunk))
+    if target is not None:
+        with Progress(progress, None) as bar:
+            return stopping.run_until(target, run, bar)
     n = positive("n", n)
-    tiles = _tiles(chunk)
-    jobs = range(0, n, tiles * BLOCK)
-    make = partial(_stream_job, n=n, tiles=tiles)
-    return _run(integrand, map(make, jobs), n, n, (), key, sampler, tallies, progress, workers)
+    with Progress(progress, run.points(n) * (replicates or 1)) as bar:
+        return run.stream(n, bar)
 
 
 def integrate_each(
-    f: Integrand, items: int, *, n, key=0, sampler=Independent(), tallies=None, progress=None, workers=None, chunk=None
+    f: Integrand, items: int, *, n, key=0, sampler=Independent(), replicates=None, tallies=None, progress=None,
+    workers=None, chunk=None,
 ) -> Estimate:  # fmt: skip
     """Estimate a family of integrals, ``n`` samples each: an image is one integral for each pixel.
 
     ``f.fn(u, *params, item)`` gets the number of its integral, an integer below ``items``. Sample ``s`` of item ``i``
-    has index ``s * items + i``. Moments have a leading axis of length ``items``; tallies that are pooled run over all
-    samples of all items. Arguments and errors otherwise as in ``integrate``.
+    has index ``s * items + i`` for independent points. For others its low word is s, counted in each randomisation, and
+    its high word is ``r * items + i`` for randomisation r. Moments have a leading axis of length ``items``; tallies
+    that are pooled run over all samples of all items. Arguments and errors otherwise as in ``integrate``.
     """
     f = as_integrand(f)
     n, items = positive("n", n), positive("items", items)
-    lanes = _lanes(items)
-    tiles = min(_tiles(chunk), -(-items // lanes))
-    jobs = ((s, i) for s in range(0, n, ROWS) for i in range(0, items, tiles * lanes))
-    make = partial(_item_job, n=n, items=items, tiles=tiles, lanes=lanes)
-    return _run(f, map(make, jobs), n, n * items, (items,), key, sampler, tallies, progress, workers)
+    replicates = _replicates(replicates, sampler, REPLICATES_EACH)
+    lanes = lanes_for(items)
+    blocks = min(_blocks(chunk), -(-items // lanes))
+    run = Run(f, key, sampler, replicates, tallies, workers, blocks, items, lanes)
+    with Progress(progress, run.points(n) * (replicates or 1) * items) as bar:
+        return run.family(n, bar)
 
 
 def positive(name, value) -> int:
@@ -90,133 +100,130 @@ def positive(name, value) -> int:
     return int(value)
 
 
-def _tiles(chunk):
+def _blocks(chunk):
     return max(1, positive("chunk", CHUNK if chunk is None else chunk) // BLOCK)
 
 
-def _lanes(items):
-    """Return how many lanes a row has in a family of integrals, so that few are left idle in the last row."""
-    evenly = -(-items // -(-items // LANES))
-    return -(-evenly // VECTOR) * VECTOR
+def _replicates(replicates, sampler, default):
+    if replicates is None:
+        return None if sampler.independent else default
+    return positive("replicates", replicates)
 
 
-class _Job(NamedTuple):
-    """One kernel call: the sample in row r, lane l of tile t has index ``base[r] + offset[t, l]``."""
+class Run:
+    """The tallies of one estimate while it grows.
 
-    base: np.ndarray  # (ROWS,) uint64
-    offset: np.ndarray  # (tiles, lanes) uint32
-    rows: np.ndarray  # (tiles, lanes) int32: how many rows of this lane are wanted
-    items: slice  # which integrals of a family the lanes belong to
-    samples: int
+    Attributes:
+        n: samples folded so far, of each integral of a family.
+        seconds: wall time since the start, compilation included.
+    """
 
-    def index(self, position):
-        """Return the sample indices of flat positions in an array of shape (tiles, ROWS, lanes)."""
-        tiles, lanes = self.offset.shape
-        tile, row, lane = np.unravel_index(position, (tiles, ROWS, lanes))
-        return self.base[row] + self.offset[tile, lane]
+    def __init__(self, integrand, key, sampler, replicates, tallies, workers, blocks, items=None, lanes=None):
+        backend.check_arithmetic()
+        if "moments" in (tallies or {}):
+            raise ValueError('the name "moments" is taken by the estimate itself; give your tally another name')
+        self.started = time.perf_counter()
+        self.integrand, self.sampler, self.replicates = jax.tree.map(jnp.asarray, integrand), sampler, replicates
+        self.key, self.seed = key, jnp.asarray(seed_words(key))
+        self.tallies = {"moments": Moments(order=2 if items else 4), **(tallies or {})}
+        self.workers, self.blocks, self.items, self.lanes = workers or backend.workers(), blocks, items, lanes
+        self.states: dict[str, Any] = {}
+        self.used, self.n = 0, 0
 
+    @property
+    def seconds(self):
+        return time.perf_counter() - self.started
 
-def _stream_job(start, n, tiles):
-    count = min(n - start, tiles * BLOCK)
-    offset = np.arange(tiles)[:, None] * BLOCK + np.arange(LANES)
-    base = np.uint64(start) + np.arange(0, BLOCK, LANES, dtype=np.uint64)
-    rows = np.clip(-(-(count - offset) // LANES), 0, ROWS)
-    return _Job(base, offset.astype(np.uint32), rows.astype(np.int32), slice(None), count)
+    def points(self, n):
+        """Return how many points each randomisation gets, or all together, if there are to be ``n`` samples."""
+        return n if self.replicates is None else self.sampler.points(-(-n // self.replicates))
 
+    def stream(self, n, bar, deadline=np.inf) -> Estimate | None:
+        """Return an estimate of one integral from ``n`` samples: new points are added to independent ones, others are
+        drawn afresh. None if that took longer than ``deadline`` on the clock; independent samples are cut short then.
+        """
+        points = self.points(n)
+        if self.replicates is None:
+            ranges = [(0, self.n, points)]
+        else:
+            ranges = self._fresh(points)
+        complete = self._add(stream_jobs(ranges, self.blocks), points, bar, deadline)
+        return self._estimate(points) if complete or self.replicates is None else None
 
-def _item_job(start, n, items, tiles, lanes):
-    sample, item = start
-    offset = item + np.arange(tiles * lanes).reshape(tiles, lanes)
-    base = (np.uint64(sample) + np.arange(ROWS, dtype=np.uint64)) * np.uint64(items)
-    rows = np.where(offset < items, min(n - sample, ROWS), 0)
-    return _Job(base, offset.astype(np.uint32), rows.astype(np.int32), slice(item, item + rows.size), int(rows.sum()))
+    def family(self, n, bar) -> Estimate:
+        """Return the estimate of a family of integrals from ``n`` samples each."""
+        points = self.points(n)
+        ranges = [(0, 0, points)] if self.replicates is None else self._fresh(points)
+        jobs = item_jobs(ranges, self.items, self.blocks, self.lanes, self.sampler.independent)
+        self._add(jobs, points, bar)
+        return self._estimate(points)
 
+    def _fresh(self, points):
+        """Forget all samples and return ranges of new randomisations."""
+        first, self.states, self.n = self.used, {}, 0
+        self.used += self.replicates
+        return [(r, 0, points) for r in range(first, self.used)]
 
-def _run(integrand, jobs, n, samples, items, key, sampler, tallies, progress, workers):
-    backend.check_arithmetic()
-    if "moments" in (tallies or {}):
-        raise ValueError('the name "moments" is taken by the estimate itself; give your tally another name')
-    tallies = {"moments": Moments(order=2 if items else 4), **(tallies or {})}
-    static = tuple(tallies.items())
-    seed = jnp.asarray(seed_words(key))
-    integrand = jax.tree.map(jnp.asarray, integrand)
-    started = time.perf_counter()
+    def _add(self, jobs, points, bar, deadline=np.inf) -> bool:
+        tables = jax.tree.map(jnp.asarray, self.sampler.tables(points, self.integrand.dim))
+        static = tuple(self.tallies.items())
 
-    def call(job):
-        return _evaluate(
-            integrand, seed, index_words(job.base), job.offset, job.rows,
-            sampler=sampler, tallies=static, each=bool(items),
-        )  # fmt: skip
+        def call(job):
+            return evaluate(
+                self.integrand, tables, self.seed, index_words(job.base), job.offset, job.rows,
+                sampler=self.sampler, tallies=static, each=bool(self.items),
+            )  # fmt: skip
 
-    def records_of(job):
-        # Drop the tiles that want no samples: they are the last ones, and their records are empty.
-        tiles = np.count_nonzero(job.rows.any(axis=1))
-        return job, jax.tree.map(lambda x: np.asarray(x)[:tiles], call(job)[0])
+        def records_of(job):
+            # Drop the blocks that want no samples: they are the last ones, and their records are empty.
+            blocks = np.count_nonzero(job.rows.any(axis=1))
+            return job, jax.tree.map(lambda x: np.asarray(x)[:blocks], call(job)[0])
 
-    # Compile once, on a job that wants no samples.
-    first = next(jobs)
-    nothing, example = call(first._replace(rows=np.zeros_like(first.rows)))
-    states = {name: tally.init(nothing[name], items) for name, tally in tallies.items()}
-    with _Progress(progress, samples) as bar:
-        for job, records in ordered_map(records_of, itertools.chain([first], jobs), workers or backend.workers()):
-            for name, tally in tallies.items():
-                _fold(tally, states[name], records[name], job, items)
+        # Compile once, on a job that wants no samples.
+        first = next(jobs)
+        if not self.states:
+            nothing, self.example = call(first._replace(rows=np.zeros_like(first.rows)))
+            items = (self.items,) if self.items else ()
+            self.states = {name: tally.init(nothing[name], items) for name, tally in self.tallies.items()}
+            self.spread = None if self.replicates is None else Replicates(self.states["moments"])
+        for job, records in ordered_map(records_of, itertools.chain([first], jobs), self.workers):
+            for name, tally in self.tallies.items():
+                self._fold(name, tally, records[name], job)
+            self.n += job.samples // (self.items or 1)
             bar.update(job.samples)
-    results = {name: tally.result(states[name]) for name, tally in tallies.items()}
-    recipe = {"key": key, "sampler": repr(sampler), "n": n}
-    seconds = time.perf_counter() - started
-    return Estimate(results.pop("moments"), n, results, seconds, recipe, jax.tree.structure(example))
+            if time.perf_counter() > deadline:
+                return False
+        return True
 
+    def _fold(self, name, tally, record, job):
+        state, spread = self.states[name], self.spread if name == "moments" else None
+        if tally.pooled:
+            extra = {"index": job.index} if "value" in record else {}
+            tally.add(state, record, **extra)
+        elif self.items:
+            if spread is not None:
+                spread.begin(job.replicate[0])
+            # Lanes are integrals: drop the lanes behind the last one.
+            count = len(range(*job.items.indices(self.items)))
+            flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], record)
+            tally.add(state, flat, slice(job.items.start, job.items.start + count))
+        else:
+            for block in range(len(jax.tree.leaves(record)[0])):
+                if spread is not None:
+                    spread.begin(job.replicate[block])
+                tally.add(state, jax.tree.map(itemgetter(block), record))
 
-def _fold(tally, state, record, job, items):
-    if tally.pooled:
-        extra = {"index": job.index} if "value" in record else {}
-        tally.add(state, record, **extra)
-    elif items:
-        # Lanes are integrals: drop the lanes behind the last one.
-        count = len(range(*job.items.indices(items[0])))
-        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], record)
-        tally.add(state, flat, slice(job.items.start, job.items.start + count))
-    else:
-        for tile in range(len(jax.tree.leaves(record)[0])):
-            tally.add(state, jax.tree.map(itemgetter(tile), record))
-
-
-def _point_value(integrand, sampler, seed, index, *item):
-    return integrand.at(sampler.point(seed, index), *item)
-
-
-def _value_shape(integrand, sampler, each):
-    word = jax.ShapeDtypeStruct((), jnp.uint32)
-    seed = jax.ShapeDtypeStruct((4,), jnp.uint32)
-    item = (word,) if each else ()
-    return jax.eval_shape(lambda f, *args: _point_value(f, sampler, *args), integrand, seed, Index(word, word), *item)
-
-
-@partial(jax.jit, static_argnames=("sampler", "tallies", "each"), compiler_options=backend.KERNEL_OPTIONS)
-def _evaluate(integrand, seed, base, offset, rows, *, sampler, tallies, each):
-    """Return the records of every tally for each tile (leading axis ``tiles``) and a value, for its structure."""
-    shape = _value_shape(integrand, sampler, each)
-    axes = (0,) if each else (0, 1)
-
-    def tile(args):
-        empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(records, *args))
-        return lax.cond(args[1].max() > 0, records, lambda *_: empty, *args)
-
-    def records(offset, rows):
-        def evaluate_row(r, values):
-            high, low = jnp.broadcast_to(base[r, 0], offset.shape), jnp.broadcast_to(base[r, 1], offset.shape)
-            index = Index(high, low) + offset
-            items = (offset,) if each else ()
-            value = jax.vmap(partial(_point_value, integrand, sampler, seed))(index, *items)
-            return jax.tree.map(lambda all_rows, x: all_rows.at[r].set(x), values, value)
-
-        valid = jnp.arange(ROWS)[:, None] < rows
-        empty = jax.tree.map(lambda x: jnp.zeros((*valid.shape, *x.shape), x.dtype), shape)
-        values = lax.fori_loop(0, rows.max(), evaluate_row, empty)
-        return {name: tally.reduce(values, valid, axes) for name, tally in tallies}
-
-    return lax.map(tile, (offset, rows)), jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
+    def _estimate(self, points) -> Estimate:
+        if self.spread is not None:
+            moments, between, means = self.spread.finish()
+        else:
+            moments, between, means = self.tallies["moments"].result(self.states["moments"]), None, None
+        results = {name: t.result(self.states[name]) for name, t in self.tallies.items() if name != "moments"}
+        recipe = {"key": self.key, "sampler": repr(self.sampler), "n": self.n}
+        if self.replicates is not None:
+            recipe |= {"replicates": self.replicates, "points": points}
+        structure = jax.tree.structure(self.example)
+        return Estimate(moments, self.n, results, self.seconds, recipe, structure, between, means)
 
 
 def ordered_map(function, jobs, workers) -> Iterator:
@@ -234,7 +241,7 @@ def ordered_map(function, jobs, workers) -> Iterator:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-class _Progress:
+class Progress:
     """A progress bar with rate and time left, a callback, or nothing."""
 
     def __init__(self, progress, total):

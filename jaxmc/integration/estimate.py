@@ -6,9 +6,13 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy import stats
 
+from . import intervals
+from .intervals import Interval
 from .moments import MomentsResult
+
+TOO_SKEW = 25.0  # Cochran's rule: the mean of n samples is near normal if n exceeds 25 skewness^2
+TOO_PEAKED = 0.1  # share of the sum of fourth powers in the squared sum of squares: few samples make the variance
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,7 +24,10 @@ class Estimate:
         n: samples in all, or for each pixel of an image.
         tallies: results of the other tallies by name; ``estimate["name"]`` looks one up.
         seconds: wall time of the run, compilation included.
-        recipe: what is needed to run it again: key, sampler, n.
+        recipe: what is needed to run it again: key, sampler, n, replicates.
+        between: moments of the means of independent randomisations; None where the samples are independent.
+        replicate_means: those means, shape (R, ...) for each leaf, None for leaves of more than 4096 numbers.
+        reached: whether the target was met; None where there was none.
     """
 
     moments: list[MomentsResult]
@@ -29,6 +36,9 @@ class Estimate:
     seconds: float
     recipe: dict[str, Any]
     structure: Any = None
+    between: list[MomentsResult] | None = None
+    replicate_means: list[np.ndarray | None] | None = None
+    reached: bool | None = None
 
     def __getitem__(self, name):
         return self.tallies[name]
@@ -44,13 +54,17 @@ class Estimate:
 
     @property
     def variance(self):
-        """Unbiased variance of one sample."""
+        """Unbiased variance of one sample. For evenly spread points it does not tell the error of the mean."""
         return self._tree([m.variance for m in self.moments])
 
     @property
     def stderr(self):
-        """Standard error of the mean, from the sample variance: right for independent samples."""
-        return self._tree([_stderr(m) for m in self.moments])
+        """Standard error of the mean: from the variance of the samples where they are independent, else from the spread
+        of the means of independent randomisations."""
+        return self._tree(self._stderrs())
+
+    def _stderrs(self):
+        return [_stderr(m) for m in (self.moments if self.between is None else self.between)]
 
     @property
     def nonfinite(self) -> int:
@@ -58,20 +72,41 @@ class Estimate:
         return sum(m.nonfinite for m in self.moments)
 
     @property
+    def heavy(self) -> bool:
+        """Whether few samples carry so much of the variance that no interval can be trusted: skewness^2 above n / 25,
+        or kurtosis above n / 10, for some component. False for images, which keep no third moments."""
+        return any(_is_heavy(m) for m in self.moments)
+
+    @property
     def status(self) -> str:
-        """``"complete"``, or ``"non-finite values seen"``, in which case mean and error mean nothing."""
-        return "non-finite values seen" if self.nonfinite else "complete"
+        """Whether mean and error can be trusted, and whether a target was met: one of ``"non-finite values seen"``,
+        ``"tail too heavy"``, ``"converged"``, ``"budget reached"``, and ``"complete"`` where there was no target."""
+        if self.nonfinite:
+            return "non-finite values seen"
+        if self.heavy:
+            return "tail too heavy"
+        return {None: "complete", True: "converged", False: "budget reached"}[self.reached]
 
-    def interval(self, level: float = 0.95):
-        """Return (lower, upper): the normal confidence interval of the mean at ``level``.
+    def interval(self, level: float = 0.95, method: str | None = None, bounds=None) -> Interval:
+        """Return a confidence interval (lower, upper) of the mean; its ``method`` says how it was made.
 
-        Rests on the central limit theorem; a heavy tail that the samples have not met yet makes it too short.
+        Args:
+            level: probability of covering the truth.
+            method: None picks what is valid: ``"bounded"`` where bounds are given, else ``"student-t over replicates"``
+                for randomised points, ``"normal"`` for independent samples. With replicates one can also ask for
+                ``"median of means"``, which outliers do not move, and ``"bootstrap-t"``, for skew means.
+            bounds: numbers (a, b) between which all values of the integrand lie. The interval then holds for any
+                number of samples and any law (empirical Bernstein bound, Maurer and Pontil 2009).
+
+        Raises:
+            ValueError: a level outside (0, 1), an unknown method, or one that needs replicates or bounds that are not
+                there.
         """
-        if not 0.0 < level < 1.0:
-            raise ValueError(f"level must lie between 0 and 1, got {level}")
-        z = stats.norm.isf((1.0 - level) / 2.0)
-        lower = self._tree([m.mean - z * _stderr(m) for m in self.moments])
-        return lower, self._tree([m.mean + z * _stderr(m) for m in self.moments])
+        return intervals.interval(self, level, method, bounds)
+
+    def half_widths(self, level: float) -> list[np.ndarray]:
+        """Return half the width of the default interval for each leaf."""
+        return [intervals.quantile(self, level) * error for error in self._stderrs()]
 
     def summary(self) -> str:
         """Return mean, error, samples, time and status in a few lines."""
@@ -80,8 +115,8 @@ class Estimate:
 
     def __str__(self):
         words = []
-        for m in self.moments:
-            mean, error = np.ravel(m.mean), np.ravel(_stderr(m))
+        for m, error in zip(self.moments, self._stderrs(), strict=True):
+            mean, error = np.ravel(m.mean), np.ravel(error)
             if mean.size > 4:
                 words.append(f"array{np.shape(m.mean)} of mean {mean.mean():.5g}")
             else:
@@ -91,6 +126,15 @@ class Estimate:
 
 def _stderr(m: MomentsResult):
     return np.sqrt(m.variance / np.maximum(m.n, 1))
+
+
+def _is_heavy(m: MomentsResult) -> bool:
+    if len(m.central) < 3:
+        return False
+    second, third, fourth = m.central
+    with np.errstate(all="ignore"):
+        skew, kurtosis = third**2 / second**3, fourth / second**2
+        return bool(np.any((skew > m.n / TOO_SKEW) | (kurtosis > m.n * TOO_PEAKED)))
 
 
 def with_error(value: float, error: float) -> str:

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-PIECE = 8192  # numbers
+PIECE = 8192  # numbers that are worked on together
+FEW = 4096  # numbers in the mean of a randomisation that is kept
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,6 +145,11 @@ class _PowerSums:
                 self.carry[k, where] += (total - (new - part)) + (x - part)
             self.total[k, where] = new
 
+    def clear(self):
+        for x in (self.n, self.center, self.total, self.carry):
+            x[...] = 0.0
+        self.nonfinite = 0
+
     @np.errstate(all="ignore")
     def merge(self, other):
         self.center = np.where(self.n == 0, other.center, self.center)
@@ -151,7 +157,7 @@ class _PowerSums:
         self.n, self.nonfinite = self.n + other.n, self.nonfinite + other.nonfinite
 
     @np.errstate(all="ignore")
-    def moments(self):
+    def moments(self) -> MomentsResult:
         mean, central = np.empty(self.center.size), np.empty((len(self.total) - 1, self.center.size))
         n, center = self.n.ravel(), self.center.ravel()
         total, carry = (x.reshape(len(x), -1) for x in (self.total, self.carry))
@@ -165,6 +171,42 @@ class _PowerSums:
         np.maximum(central[0], 0.0, out=central[0])
         shape = self.center.shape
         return MomentsResult(self.n, mean.reshape(shape), [x.reshape(shape) for x in central], self.nonfinite)
+
+
+class Replicates:
+    """The moments of independent randomisations, one after the other: pooled over all samples, and of their means.
+
+    ``current`` holds the sums of the randomisation under way, one ``_PowerSums`` to a leaf.
+    """
+
+    def __init__(self, current):
+        self.current, self.under_way = current, None
+        self.pooled = [_PowerSums.zeros(sums.center.shape, len(sums.total)) for sums in current]
+        self.between = [_PowerSums.zeros(sums.center.shape, 2) for sums in current]
+        self.means = [[] for _ in current]
+
+    def begin(self, replicate):
+        """Say that the next samples belong to this randomisation."""
+        if self.under_way is not None and replicate != self.under_way:
+            self._close()
+        self.under_way = replicate
+
+    def _close(self):
+        for sums, pooled, between, means in zip(self.current, self.pooled, self.between, self.means, strict=True):
+            mean, zero = sums.moments().mean, np.zeros_like(sums.center)
+            record = {"count": zero + 1.0, "mean": mean, "scale": zero, "powers": [zero, zero], "nonfinite": zero}
+            between.add(record, ...)
+            pooled.merge(sums)
+            if mean.size <= FEW:
+                means.append(mean)
+            sums.clear()
+
+    def finish(self):
+        """Return moments of all samples, moments of the means, and the means (R, ...), or None where they are many."""
+        self._close()
+        self.under_way = None
+        means = [np.array(m) if m else None for m in self.means]
+        return [s.moments() for s in self.pooled], [s.moments() for s in self.between], means
 
 
 def _shift(n, powers, d):

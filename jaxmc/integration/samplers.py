@@ -2,6 +2,15 @@
 
 A sampler has no state. Coordinates are computed inside the kernel in 32-bit integer arithmetic, so a sample depends on
 its index alone: not on chunk size, thread, device or machine, and any sample can be replayed.
+
+A sampler is a hashable object with
+
+* ``tables(n, dim)``: a tuple of arrays that its points need, for n points in each randomisation and dim coordinates;
+* ``point(seed, index, *tables)``: one point, whose coordinate k is ``point[k]``;
+* ``points(n)``: how many points a randomisation must have to hold n at its best;
+* ``independent``: whether all points are independent. If not, an index is a randomisation (high word) and the number of
+  a point in it (low word): points of one randomisation fill the cube evenly, randomisations are independent;
+* ``extensible``: whether the points stay where they are as n grows.
 """
 
 from typing import NamedTuple
@@ -54,6 +63,8 @@ class Independent:
     multiple of 2^-52 plus 2^-53, exactly, and its leading 32 bits are the same.
     """
 
+    independent = extensible = True
+
     def __eq__(self, other):
         return type(other) is type(self)
 
@@ -63,10 +74,16 @@ class Independent:
     def __repr__(self):
         return "Independent()"
 
+    def tables(self, n, dim):
+        return ()
+
+    def points(self, n):
+        return n
+
     def point(self, seed, index: Index) -> "Point":
         """Return the lazy point of one sample. ``seed`` holds the four words of ``seed_words``."""
-        first = _mix(_mix(index.low ^ seed[0]) + index.high + seed[1])
-        second = _mix(_mix(index.low * jnp.uint32(0x85EBCA6B) + seed[2]) ^ (index.high + seed[3]))
+        first = mix(mix(index.low ^ seed[0]) + index.high + seed[1])
+        second = mix(mix(index.low * jnp.uint32(0x85EBCA6B) + seed[2]) ^ (index.high + seed[3]))
         return Point(first, second)
 
 
@@ -78,15 +95,16 @@ class Point:
 
     def __getitem__(self, dimension):
         """Return coordinate ``dimension``, an integer, a traced integer or an array of them."""
-        bits = self._bits(dimension)
+        bits = self.bits(dimension)
         if jax.config.jax_enable_x64:
             # Take the low bits from a dimension that nobody can name: the top bit is set.
-            low = self._bits(jnp.asarray(dimension).astype(jnp.uint32) | jnp.uint32(1 << 31)) >> 12
+            low = self.bits(jnp.asarray(dimension).astype(jnp.uint32) | jnp.uint32(1 << 31)) >> 12
             return (bits.astype(jnp.float64) * 2.0**20 + low.astype(jnp.float64) + 0.5) * 2.0**-52
         u = bits.astype(jnp.float32) * 2.0**-32 + 2.0**-33
         return jnp.where(u < 1.0, u, 1.0 - 2.0**-24)
 
-    def _bits(self, dimension):
+    def bits(self, dimension):
+        """Return 32 random bits."""
         x = self.first + jnp.uint32(GOLDEN) * jnp.asarray(dimension).astype(jnp.uint32)
         x = (x ^ (x >> 16)) * jnp.uint32(0x7FEB352D)
         x = x ^ self.second
@@ -94,7 +112,7 @@ class Point:
         return x ^ (x >> 16)
 
 
-def _mix(x):
+def mix(x):
     """Permute the 32-bit words so that every input bit reaches every output bit.
 
     Shifts and multipliers: C. Wellons 2018, "Prospecting for Hash Functions" (lowbias32).
@@ -102,3 +120,30 @@ def _mix(x):
     x = (x ^ (x >> 16)) * jnp.uint32(0x7FEB352D)
     x = (x ^ (x >> 15)) * jnp.uint32(0x846CA68B)
     return x ^ (x >> 16)
+
+
+def as_word(dimension):
+    """Return a dimension, a number or an array of them, as unsigned 32-bit integers."""
+    return jnp.asarray(dimension).astype(jnp.uint32)
+
+
+def fraction(bits, low=None):
+    """Return the number in (0, 1) with the binary digits ``bits`` behind the point, cut to what the type can hold.
+
+    Cut and not rounded: a point never leaves its cell of a stratification, not even by an error of the last place.
+    ``low`` holds further random digits for float64.
+    """
+    if jax.config.jax_enable_x64:
+        low = jnp.uint32(0) if low is None else low >> 12
+        return (bits.astype(jnp.float64) * 2.0**20 + low.astype(jnp.float64) + 0.5) * 2.0**-52
+    # Clear what lies behind 24 leading digits: as many as the top byte is long.
+    excess = bits >> 24
+    excess = excess | (excess >> 1)
+    excess = excess | (excess >> 2)
+    excess = excess | (excess >> 4)
+    return jnp.maximum((bits & ~excess).astype(jnp.float32) * 2.0**-32, 2.0**-33)
+
+
+def randomisation(seed, index: Index) -> Point:
+    """Return the random words that all points of one randomisation share: word k is ``.bits(k)``."""
+    return Independent().point(seed, Index(index.high, jnp.zeros_like(index.high)))

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..integration.draw import point_tables
 from ..integration.samplers import Independent, Index, index_words, seed_words
 from .camera import Camera
 from .integrands import path_integrand
@@ -77,26 +78,32 @@ def _runs(vertices):
     return words
 
 
-def replay(scene: Scene, camera: Camera, indices, *, key=0, sampler=Independent(), **options) -> list[Path] | Path:
+def replay(
+    scene: Scene, camera: Camera, indices, *, key=0, sampler=Independent(), points=None, **options
+) -> list[Path] | Path:  # fmt: skip
     """Replay samples of ``render`` with the same scene, camera, key, sampler and path options, from their indices.
 
     Args:
         indices: one index, or several.
+        points: ``estimate.recipe["points"]``, which ``LatinHypercube`` and ``Stratified`` must know.
 
     Returns:
         One ``Path``, or a list of them. Values agree with the render's to rounding.
 
     Raises:
-        ValueError: an index that is not an integer in [0, 2^63), or options as in ``path_integrand``.
+        ValueError: an index that is not an integer in [0, 2^64), or options as in ``path_integrand``.
     """
     integrand = path_integrand(scene, camera, **options)
     several = [indices] if np.ndim(indices) == 0 else list(indices)
-    if not all(isinstance(i, int | np.integer) and not isinstance(i, bool) and 0 <= i < 1 << 63 for i in several):
-        raise ValueError(f"sample indices must be integers in [0, 2^63), got {indices!r}")
+    if not all(isinstance(i, int | np.integer) and not isinstance(i, bool) and 0 <= i < 1 << 64 for i in several):
+        raise ValueError(f"sample indices must be integers in [0, 2^64), got {indices!r}")
     if not several:
         return []
-    pixels = np.asarray(several, np.uint64) % np.uint64(camera.width * camera.height)
-    seen = _replay(integrand, jnp.asarray(seed_words(key)), index_words(several), pixels.astype(np.uint32), sampler)
+    number = np.asarray(several, np.uint64) >> np.uint64(0 if sampler.independent else 32)
+    pixels = number % np.uint64(camera.width * camera.height)
+    tables = point_tables(sampler, integrand.dim, points)
+    words = index_words(several)
+    seen = _replay(integrand, tables, jnp.asarray(seed_words(key)), words, pixels.astype(np.uint32), sampler)
     seen = jax.tree.map(np.asarray, seen)
     paths = []
     for k, (index, pixel) in enumerate(zip(several, pixels, strict=True)):
@@ -106,7 +113,7 @@ def replay(scene: Scene, camera: Camera, indices, *, key=0, sampler=Independent(
 
 
 @partial(jax.jit, static_argnames="sampler")
-def _replay(integrand, seed, words, pixels, sampler):
+def _replay(integrand, tables, seed, words, pixels, sampler):
     def observe(surface, after):
         return {
             "primitive": surface.primitive, "point": jnp.stack(surface.point), "normal": jnp.stack(surface.normal),
@@ -115,7 +122,7 @@ def _replay(integrand, seed, words, pixels, sampler):
 
     def one(words, pixel):
         scene, camera = integrand.params
-        u = sampler.point(seed, Index(words[0], words[1]))
+        u = sampler.point(seed, Index(words[0], words[1]), *tables)
         start = integrand.fn.start(u, camera, pixel)
         radiance, seen = trace(scene, integrand.fn.strategy, u, 2, start, observe)
         direct, _ = trace(scene, integrand.fn.strategy.without_bounces(), u, 2, start)

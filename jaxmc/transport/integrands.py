@@ -75,11 +75,13 @@ def irradiance(scene: Scene, point, normal, *, bounces, directions="cosine", lig
 
 def render(
     scene: Scene, camera: Camera, *, spp, bounces=5, directions="cosine", lights="mis", clamp=None, hide_emitters=False,
-    key=0, sampler=Independent(), tallies=None, progress=None, workers=None, chunk=None,
+    key=0, sampler=Independent(), replicates=None, tallies=None, progress=None, workers=None, chunk=None,
 ) -> Estimate:  # fmt: skip
     """Render an image: one integral for each pixel, ``spp`` samples each.
 
-    Sample s of pixel p (row by row from the top left) has index ``s * width * height + p``; ``replay`` shows its path.
+    Sample s of pixel p (row by row from the top left) has index ``s * width * height + p``, or as ``integrate_each``
+    says for points that are not independent; ``replay`` shows its path. Points that are not independent are randomised
+    afresh for each pixel and replicate, of which there are 4 by default.
     Path options as in ``path_integrand``, the rest as in ``integrate``.
 
     Returns:
@@ -91,14 +93,15 @@ def render(
     )
     estimate = integrate_each(
         integrand, camera.width * camera.height, n=positive("spp", spp), key=key, sampler=sampler,
-        tallies=tallies, progress=progress, workers=workers, chunk=chunk,
+        replicates=replicates, tallies=tallies, progress=progress, workers=workers, chunk=chunk,
     )  # fmt: skip
     further = {
         name: [_as_image(m, camera) for m in result] if isinstance((tallies or {})[name], Moments) else result
         for name, result in estimate.tallies.items()
     }
     moments = [_as_image(m, camera) for m in estimate.moments]
-    return dataclasses.replace(estimate, moments=moments, tallies=further)
+    between = estimate.between and [_as_image(m, camera) for m in estimate.between]
+    return dataclasses.replace(estimate, moments=moments, tallies=further, between=between)
 
 
 def path_throughput(scene: Scene, camera: Camera, *, events, directions="cosine") -> Integrand:

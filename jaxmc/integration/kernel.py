@@ -1,0 +1,142 @@
+"""The kernel: evaluates blocks of samples of an integrand and reduces each block to the records of the tallies.
+
+A block holds ``ROWS x LANES`` samples. One row is evaluated at a time, so that its state stays in the cache; a kernel
+call runs a few blocks, one after the other.
+"""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .. import backend
+from .samplers import Index
+
+LANES = 960  # samples side by side; measured 15 % faster than 512 or 1024, where arrays compete for the same cache sets
+ROWS = 64
+VECTOR = 64  # a number of lanes that vector code divides evenly
+BLOCK = ROWS * LANES
+CHUNK = 1 << 18  # samples to a kernel call: long against the cost of a call, short against a progress bar
+
+
+class Job(NamedTuple):
+    """One kernel call: the sample in row r, lane l of block b has index ``base[b, r] + offset[b, l] * stride``."""
+
+    base: np.ndarray  # (blocks, ROWS) uint64
+    offset: np.ndarray  # (blocks, lanes) uint32
+    rows: np.ndarray  # (blocks, lanes) int32: how many rows of this lane are wanted
+    replicate: np.ndarray  # (blocks,): which randomisation the samples belong to
+    items: slice  # which integrals of a family the lanes belong to
+    stride: int = 1
+
+    @property
+    def samples(self) -> int:
+        return int(self.rows.sum())
+
+    def index(self, position):
+        """Return the sample indices of flat positions in an array of shape (blocks, ROWS, lanes)."""
+        blocks, lanes = self.offset.shape
+        block, row, lane = np.unravel_index(position, (blocks, ROWS, lanes))
+        return self.base[block, row] + self.offset[block, lane].astype(np.uint64) * np.uint64(self.stride)
+
+
+def stream_jobs(ranges, blocks) -> Iterator[Job]:
+    """Yield jobs for the samples ``start <= index < stop`` of each ``(replicate, start, stop)`` in ``ranges``."""
+    pieces = ((r, first, stop) for r, start, stop in ranges for first in range(start, stop, BLOCK))
+    lanes, rows = np.arange(LANES), np.arange(0, BLOCK, LANES, dtype=np.uint64)
+    while piece := _take(pieces, blocks):
+        replicate, first, stop = (np.array(column, np.uint64) for column in zip(*piece, strict=True))
+        left = (stop - first).astype(np.int64)
+        wanted = np.zeros((blocks, LANES), np.int32)
+        wanted[: len(piece)] = np.clip(-(-(left[:, None] - lanes) // LANES), 0, ROWS)
+        base = np.zeros((blocks, ROWS), np.uint64)
+        base[: len(piece)] = ((replicate << np.uint64(32)) + first)[:, None] + rows
+        offset = np.broadcast_to(lanes.astype(np.uint32), (blocks, LANES))
+        yield Job(base, offset, wanted, replicate.astype(int), slice(None))
+
+
+def item_jobs(ranges, items, blocks, lanes, independent) -> Iterator[Job]:
+    """Yield jobs for the samples ``start <= s < stop`` of every integral of a family, for each ``(replicate, start,
+    stop)`` in ``ranges``.
+
+    Sample s of item i has index ``s * items + i`` where points are independent. If not, the high word of the index is
+    ``replicate * items + i`` and the low word s: each integral has its own randomisations.
+    """
+    for replicate, start, stop in ranges:
+        for sample in range(start, stop, ROWS):
+            s = np.uint64(sample) + np.arange(ROWS, dtype=np.uint64)
+            base = s * np.uint64(items) if independent else (np.uint64(replicate * items) << np.uint64(32)) + s
+            for item in range(0, items, blocks * lanes):
+                offset = item + np.arange(blocks * lanes).reshape(blocks, lanes)
+                rows = np.where(offset < items, min(stop - sample, ROWS), 0).astype(np.int32)
+                yield Job(
+                    np.broadcast_to(base, (blocks, ROWS)), offset.astype(np.uint32), rows, np.full(blocks, replicate),
+                    slice(item, item + rows.size), 1 if independent else 1 << 32,
+                )  # fmt: skip
+
+
+def _take(iterator, count):
+    return [x for _, x in zip(range(count), iterator)]
+
+
+def lanes_for(items):
+    """Return how many lanes a row has in a family of integrals, so that few are left idle in the last row."""
+    evenly = -(-items // -(-items // LANES))
+    return -(-evenly // VECTOR) * VECTOR
+
+
+def point_value(integrand, sampler, tables, seed, index, *item):
+    return integrand.at(sampler.point(seed, index, *tables), *item)
+
+
+def value_shape(integrand, sampler, tables, each):
+    word = jax.ShapeDtypeStruct((), jnp.uint32)
+    seed = jax.ShapeDtypeStruct((4,), jnp.uint32)
+    item = (word,) if each else ()
+    return jax.eval_shape(
+        lambda f, t, seed, index, *item: point_value(f, sampler, t, seed, index, *item),
+        integrand, tables, seed, Index(word, word), *item,
+    )  # fmt: skip
+
+
+def _indices_of_row(base, offset, independent, each):
+    """Return the indices of the samples of a row and the axes of their words."""
+    high, low = base
+    if independent:
+        high, low = jnp.broadcast_to(high, offset.shape), jnp.broadcast_to(low, offset.shape)
+        return Index(high, low) + offset, Index(0, 0)
+    # Keep the word that all lanes share a single number: what depends on it alone is then computed once.
+    return (Index(high + offset, low), Index(0, None)) if each else (Index(high, low + offset), Index(None, 0))
+
+
+@partial(jax.jit, static_argnames=("sampler", "tallies", "each"), compiler_options=backend.KERNEL_OPTIONS)
+def evaluate(integrand, tables, seed, base, offset, rows, *, sampler, tallies, each):
+    """Return the records of every tally for each block (leading axis) and a value, for its structure.
+
+    ``base`` has shape (blocks, ROWS, 2): the two words of an index.
+    """
+    shape = value_shape(integrand, sampler, tables, each)
+    axes = (0,) if each else (0, 1)
+
+    def block(args):
+        empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(records, *args))
+        return lax.cond(args[2].max() > 0, records, lambda *_: empty, *args)
+
+    def records(base, offset, rows):
+        def evaluate_row(r, values):
+            index, word_axes = _indices_of_row(base[r], offset, sampler.independent, each)
+            items = (offset,) if each else ()
+            one = partial(point_value, integrand, sampler, tables, seed)
+            value = jax.vmap(one, in_axes=(word_axes, *(0 for _ in items)))(index, *items)
+            return jax.tree.map(lambda all_rows, x: all_rows.at[r].set(x), values, value)
+
+        valid = jnp.arange(ROWS)[:, None] < rows
+        empty = jax.tree.map(lambda x: jnp.zeros((*valid.shape, *x.shape), x.dtype), shape)
+        values = lax.fori_loop(0, rows.max(), evaluate_row, empty)
+        return {name: tally.reduce(values, valid, axes) for name, tally in tallies}
+
+    return lax.map(block, (base, offset, rows)), jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)

@@ -1,0 +1,215 @@
+"""Intervals, replicates and stopping: what is claimed of an error must be true."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import jaxmc as mc
+from jaxmc.integration import stopping
+from jaxmc.testing import SIGMAS
+
+
+def smooth(u):
+    return jnp.exp(u[0]) * (1.0 + u[1] * u[2])
+
+
+SMOOTH = mc.Integrand(smooth, 3)
+EXACT = (math.e - 1.0) * 1.25
+POINTS = [mc.Sobol(), mc.Lattice(), mc.Halton(), mc.LatinHypercube(), mc.Stratified()]
+
+
+def spike(u):
+    return jnp.where(u[0] < 1e-4, 1e4, 0.0)
+
+
+def infinite_variance(u):
+    return u[0] ** -0.75
+
+
+def coverage(estimates, exact, level=0.95, **options):
+    ends = [e.interval(level, **options) for e in estimates]
+    return np.mean([lower <= exact <= upper for lower, upper in ends])
+
+
+def band(level, count):
+    """Return the numbers between which a share of ``count`` lies with all but one chance in a million."""
+    return stats.binom.ppf([5e-7, 1.0 - 5e-7], count, level) / count
+
+
+# Replicates.
+
+
+@pytest.mark.parametrize("sampler", POINTS, ids=repr)
+def test_the_error_bar_is_that_of_the_replicates(sampler):
+    estimate = mc.integrate(SMOOTH, n=16 * 256, sampler=sampler, key=3)
+    means = estimate.replicate_means[0]
+    assert means.shape == (16,) and estimate.n == 16 * 256
+    assert estimate.mean == pytest.approx(means.mean(), rel=1e-12)
+    assert estimate.stderr == pytest.approx(means.std(ddof=1) / 4.0, rel=1e-9)
+    lower, upper = interval = estimate.interval(0.9)
+    assert interval.method == "student-t over replicates"
+    assert upper - lower == pytest.approx(2.0 * stats.t.isf(0.05, 15) * estimate.stderr)
+
+
+@pytest.mark.parametrize("sampler", POINTS, ids=repr)
+def test_points_that_fill_the_cube_err_less_than_independent_ones_and_say_so(sampler):
+    estimate = mc.integrate(SMOOTH, n=16 * 256, sampler=sampler, key=3)
+    independent = math.sqrt(estimate.variance / estimate.n)
+    assert estimate.stderr < 0.7 * independent
+    assert abs(estimate.mean - EXACT) < SIGMAS * 1.5 * estimate.stderr
+
+
+def test_replicates_of_independent_samples_err_like_their_variance():
+    ratios = []
+    for key in range(50):
+        estimate = mc.integrate(SMOOTH, n=16_000, replicates=16, key=key)
+        ratios.append(estimate.n * estimate.stderr**2 / estimate.variance)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=SIGMAS * math.sqrt(2.0 / 15 / 50))
+
+
+def test_one_replicate_claims_no_error():
+    estimate = mc.integrate(SMOOTH, n=256, sampler=mc.Sobol(), replicates=1)
+    assert np.isnan(estimate.stderr) and np.isnan(estimate.interval()).all()
+    assert estimate.mean == pytest.approx(EXACT, rel=1e-2)
+
+
+def test_numbers_of_samples_are_rounded_up_where_points_want_it():
+    for sampler, n in ((mc.Sobol(), 16 * 64), (mc.Lattice(), 16 * 64), (mc.Halton(), 16 * 63)):
+        estimate = mc.integrate(SMOOTH, n=1000, sampler=sampler)
+        assert estimate.n == n and estimate.recipe["points"] == n // 16
+
+
+def test_images_have_error_bars_over_replicates():
+    f = mc.Integrand(lambda u, item: u[0] + item, 1)
+    estimate = mc.integrate_each(f, 50, n=64, sampler=mc.Sobol(), replicates=8)
+    assert estimate.mean.shape == estimate.stderr.shape == (50,)
+    assert np.all(np.abs(estimate.mean - np.arange(50) - 0.5) < 30 * estimate.stderr)
+    # One point falls in each eighth: the variance of a mean of 8 is 1 / (12 * 8^3), and there are 8 of these.
+    expected = 1.0 / (12 * 8**3 * 8)
+    assert np.mean(estimate.stderr**2) == pytest.approx(expected, rel=SIGMAS * math.sqrt(2.0 / 7 / 50))
+
+
+# Intervals.
+
+
+@pytest.mark.parametrize("sampler", [mc.Independent(), mc.Sobol(), mc.Lattice()], ids=repr)
+def test_intervals_cover_as_often_as_they_say(sampler):
+    estimates = [mc.integrate(SMOOTH, n=2048, sampler=sampler, key=key) for key in range(400)]
+    for level in (0.5, 0.9):
+        low, high = band(level, len(estimates))
+        assert low <= coverage(estimates, EXACT, level) <= high
+
+
+def test_a_variance_within_a_replicate_is_no_error_bar():
+    # The mutant: iid standard errors for Sobol' points cover always.
+    estimates = [mc.integrate(SMOOTH, n=2048, sampler=mc.Sobol(), key=key) for key in range(400)]
+    inside = [abs(e.mean - EXACT) < stats.norm.isf(0.25) * math.sqrt(e.variance / e.n) for e in estimates]
+    assert np.mean(inside) > band(0.5, 400)[1]
+
+
+def test_other_intervals_cover_too():
+    estimates = [mc.integrate(SMOOTH, n=4096, replicates=16, key=key) for key in range(400)]
+    for method, least in (("median of means", 0.95), ("bootstrap-t", 0.95)):
+        low, high = band(least, len(estimates))
+        found = coverage(estimates, EXACT, method=method)
+        assert found >= low and (method == "median of means" or found <= band(0.97, 400)[1])
+
+
+def test_bounded_intervals_cover_what_no_normal_one_does():
+    estimates = [mc.integrate(spike, dim=1, n=2000, key=key) for key in range(200)]
+    normal, bounded = coverage(estimates, 1.0), coverage(estimates, 1.0, bounds=(0.0, 1e4))
+    assert normal < 0.5 and bounded == 1.0
+    assert estimates[0].interval(bounds=(0.0, 1e4)).method == "bounded"
+
+
+def test_intervals_keep_the_shape_of_the_value():
+    f = mc.Integrand(lambda u: {"a": u[0], "b": u[:2]}, 2)
+    estimate = mc.integrate(f, n=1600, sampler=mc.Sobol())
+    for method in (None, "median of means", "bootstrap-t"):
+        lower, upper = estimate.interval(method=method)
+        assert isinstance(lower["a"], float) and upper["b"].shape == (2,)
+        assert lower["a"] <= 0.5 <= upper["a"] and (lower["b"] <= upper["b"]).all()
+
+
+MISTAKES = [
+    (dict(level=1.5), "level must lie"),
+    (dict(method="student"), "method must be"),
+    (dict(method="bootstrap-t"), "replicates"),
+    (dict(method="bounded"), "bounds"),
+    (dict(bounds=(1.0, 0.0)), "bounds"),
+]
+
+
+@pytest.mark.parametrize(("options", "match"), MISTAKES)
+def test_wrong_intervals_are_refused(options, match):
+    estimate = mc.integrate(SMOOTH, n=100)
+    with pytest.raises(ValueError, match=match):
+        estimate.interval(**options)
+
+
+# Stopping.
+
+
+@pytest.mark.parametrize("sampler", [mc.Independent(), *POINTS[:3]], ids=repr)
+def test_a_target_is_met(sampler):
+    rtol = 1e-3 if sampler == mc.Independent() else 1e-4
+    estimate = mc.integrate(SMOOTH, rtol=rtol, sampler=sampler, key=1)
+    lower, upper = estimate.interval()
+    assert estimate.status == "converged" and upper - lower <= 2.0 * rtol * estimate.mean
+    assert abs(estimate.mean - EXACT) < 3.0 * rtol * EXACT
+    absolute = mc.integrate(SMOOTH, atol=rtol * EXACT, sampler=sampler, key=1)
+    assert absolute.n == pytest.approx(estimate.n, rel=0.02)
+
+
+@pytest.mark.parametrize("sampler", [mc.Independent(), mc.Sobol()], ids=repr)
+def test_intervals_cover_also_where_the_error_itself_stopped_the_run(sampler):
+    rtol = 2e-3 if sampler == mc.Independent() else 2e-4
+    estimates = [mc.integrate(SMOOTH, rtol=rtol, sampler=sampler, key=key) for key in range(300)]
+    assert {e.status for e in estimates} == {"converged"}
+    low, high = band(0.95, len(estimates))
+    assert low <= coverage(estimates, EXACT) <= high
+
+
+def test_stopping_at_the_first_short_interval_would_not_cover(monkeypatch):
+    # The mutant: many looks, few replicates, and no margin between the target and what is aimed at.
+    monkeypatch.setattr(stopping, "FIRST", 64)
+    monkeypatch.setattr(stopping, "next_n", lambda target, looks, *_: int(looks[-1][0] * 1.2))
+    estimates = [mc.integrate(SMOOTH, key=key, rtol=0.02, replicates=4) for key in range(120)]
+    assert coverage(estimates, EXACT) < band(0.95, 120)[0]
+
+
+def test_budgets_are_kept():
+    few = mc.integrate(SMOOTH, rtol=1e-9, max_n=100_000)
+    assert few.n == 100_000 and few.status == "budget reached"
+    even = mc.integrate(SMOOTH, rtol=1e-9, max_n=100_000, sampler=mc.Sobol())
+    assert even.n <= 131_072 and even.status == "budget reached"
+    for sampler in (mc.Independent(), mc.Sobol()):
+        short = mc.integrate(SMOOTH, max_seconds=0.5, sampler=sampler)
+        assert short.seconds < 5.0 and short.status == "budget reached" and np.isfinite(short.stderr)
+
+
+def test_vectors_stop_when_all_components_are_known():
+    f = mc.Integrand(lambda u: jnp.stack([u[0], u[0] ** 8]), 1)
+    estimate = mc.integrate(f, rtol=1e-3)
+    lower, upper = estimate.interval()
+    assert estimate.status == "converged" and ((upper - lower) <= 2e-3 * estimate.mean).all()
+
+
+@pytest.mark.parametrize("sampler", [mc.Independent(), mc.Sobol()], ids=repr)
+@pytest.mark.parametrize("f", [infinite_variance, spike])
+def test_heavy_tails_are_refused(f, sampler):
+    estimate = mc.integrate(f, dim=1, n=65_536, sampler=sampler)
+    assert estimate.heavy and estimate.status == "tail too heavy"
+    assert mc.integrate(f, dim=1, rtol=1e-12, max_n=65_536, sampler=sampler).status == "tail too heavy"
+
+
+def test_a_nonfinite_value_ends_the_run():
+    estimate = mc.integrate(lambda u: jnp.where(u[0] < 0.01, jnp.nan, 1.0), dim=1, rtol=1e-3)
+    assert estimate.status == "non-finite values seen" and estimate.n == stopping.FIRST
+
+
+def test_a_constant_meets_any_target():
+    assert mc.integrate(lambda u: 0.0 * u[0], dim=1, rtol=1e-6).status == "converged"
