@@ -77,7 +77,8 @@ def test_mirror_code_is_the_reflection_and_its_choices():
     # The reflected direction is the one thing that selects between two directions: three selects for wi.
     diffuse, mirror = operations(scene()), operations(scene(ball=mc.Mirror(0.5)))
     assert mirror["select_n"] > diffuse["select_n"] and mirror["or"] > diffuse["or"]
-    assert "or" not in diffuse
+    # In float64 the sampler joins two words to a coordinate.
+    assert jax.config.jax_enable_x64 or "or" not in diffuse
 
 
 def test_grey_costs_one_channel_and_equal_values_are_looked_up_once():
@@ -96,7 +97,7 @@ def test_without_lights_to_sample_there_are_no_coordinates_for_them():
     assert mc.path_integrand(scene(), camera, bounces=3, lights="none").dim == 2 + 3 * 2
     two = scene(more=[mc.Sphere((0, 2, 0), 0.1, emission=1.0)])
     integrand = mc.path_integrand(two, camera, bounces=3)
-    assert integrand.dim == 2 + 3 * 5 == len(integrand.labels) and integrand.labels[6] == "event 1, which light"
+    assert integrand.dim == 2 + 3 * 5 == len(integrand.labels) and integrand.labels[4] == "event 1, which light"
 
 
 def test_shadow_casters_are_what_can_lie_between_two_points():

@@ -619,7 +619,7 @@ BAD = {
     "two clamps": (lambda: mc.render(SCENE, CAMERA, spp=1, clamp=np.array([1.0, 2.0])), "clamp must be a positive"),
     "array of directions": (lambda: mc.render(SCENE, CAMERA, spp=1, directions=np.zeros(3)), "cosine, uniform"),
     "rays without a scene": (lambda: mc.intersect([BALL], np.zeros((1, 3)), np.ones((1, 3))), r"mc\.Scene"),
-    "index beyond the last": (lambda: mc.replay(SCENE, CAMERA, 1 << 63, bounces=1), "indices must be integers"),
+    "index beyond the last": (lambda: mc.replay(SCENE, CAMERA, 1 << 64, bounces=1), "indices must be integers"),
     "one event": (lambda: mc.path_throughput(SCENE, CAMERA, events=5), "list of positive integers"),
     "throughput without a camera": (lambda: mc.path_throughput(SCENE, None, events=[5]), "PinholeCamera"),
 }

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .samplers import GOLDEN, Independent, Index, as_word, fraction, mix, randomisation
+from .samplers import GOLDEN, Independent, Index, as_word, divide, fraction, mix, randomisation
 from .tables import MOST_SOBOL, primes, sobol_matrices
 
 MOST_HALTON = 1024
@@ -159,22 +159,6 @@ class _HaltonPoint:
         if self.sampler.scramble:
             value = value + rest * weight * base.astype(kind)
         return jnp.clip(value, 2.0**-33 if self.sampler.scramble else 0.0, 1.0 - 2.0**-24)
-
-
-def divide(number, base, inverse):
-    """Return quotient and remainder of 32-bit ``number`` by ``base`` < 2^16, in vector code: integers have no division
-    there. ``inverse`` is 1 / base in floating point."""
-    high = _quotient(number >> 16, base, inverse)
-    rest = (((number >> 16) - high * base) << 16) | (number & 0xFFFF)
-    low = _quotient(rest, base, inverse)
-    return (high << 16) + low, rest - low * base
-
-
-def _quotient(number, base, inverse):
-    q = (number.astype(inverse.dtype) * inverse).astype(jnp.uint32)
-    # Rounding leaves it at most one off.
-    q = jnp.where(q * base > number, q - 1, q)
-    return jnp.where(number - q * base >= base, q + 1, q)
 
 
 def _below(random, bound):

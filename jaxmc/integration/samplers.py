@@ -147,3 +147,19 @@ def fraction(bits, low=None):
 def randomisation(seed, index: Index) -> Point:
     """Return the random words that all points of one randomisation share: word k is ``.bits(k)``."""
     return Independent().point(seed, Index(index.high, jnp.zeros_like(index.high)))
+
+
+def divide(number, base, inverse):
+    """Return quotient and remainder of 32-bit ``number`` by ``base`` < 2^16, in vector code: integers have no division
+    there. ``inverse`` is 1 / base in floating point."""
+    high = _quotient(number >> 16, base, inverse)
+    rest = (((number >> 16) - high * base) << 16) | (number & 0xFFFF)
+    low = _quotient(rest, base, inverse)
+    return (high << 16) + low, rest - low * base
+
+
+def _quotient(number, base, inverse):
+    q = (number.astype(inverse.dtype) * inverse).astype(jnp.uint32)
+    # Rounding leaves it at most one off.
+    q = jnp.where(q * base > number, q - 1, q)
+    return jnp.where(number - q * base >= base, q + 1, q)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .samplers import GOLDEN, Independent, Index, as_word, mix, randomisation
+from .samplers import GOLDEN, Independent, Index, as_word, divide, mix, randomisation
 
 ROUNDS = 4
 
@@ -81,7 +81,7 @@ class _JitteredPoint:
         second = (dimension & 1) == 1
         key = self.key.bits(dimension >> 1)
         cell = permute(self.number, self.across * self.down, key)
-        column, row = cell % self.across, cell // self.across
+        row, column = divide(cell, self.across, 1.0 / self.across.astype(float))
         mine, other = jnp.where(second, row, column), jnp.where(second, column, row)
         size, others = jnp.where(second, self.down, self.across), jnp.where(second, self.across, self.down)
         jitter = self.own[dimension]

@@ -1,8 +1,8 @@
 """Path integrands: light transport as one flat integral over the unit hypercube.
 
-A path takes two coordinates for the film position (only where there is a camera), then for each scattering event two
-for the direction and, with light sampling, two for the point on the light and one to pick the light where there are
-several. ``Integrand.labels`` names them all.
+A path takes two coordinates for the film position (only where there is a camera), then for each scattering event, with
+light sampling, two for the point on the light and one to pick the light where there are several, and two for the
+direction. So what matters most comes first, which evenly spread points want. ``Integrand.labels`` names them all.
 """
 
 import dataclasses
@@ -21,6 +21,9 @@ from .primitives import is_number
 from .scene import Scene
 from .shapes import LightSample, QuadLight, Ray
 from .vec import Vec3, dot, where
+
+
+POLAR, AZIMUTH = "direction: polar", "direction: azimuth"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,9 +54,9 @@ class Strategy:
     def coordinates(self, scene: Scene) -> tuple[str, ...]:
         """Return what the coordinates of one scattering event decide."""
         if self.lights == "none" or not scene.lights:
-            return ("direction: polar", "direction: azimuth")
+            return (POLAR, AZIMUTH)
         pick = ("which light",) if len(scene.lights) > 1 else ()
-        return ("direction: polar", "direction: azimuth", "light: first", "light: second", *pick)
+        return ("light: first", "light: second", *pick, POLAR, AZIMUTH)
 
 
 class PathState(NamedTuple):
@@ -114,8 +117,8 @@ def black(scene):
 
 def _direct_light(scene, strategy, surface, u, first, anywhere):
     """Return radiance times BRDF over density of one sampled light, albedo left out."""
-    pick = u[first + 4] if len(scene.lights) > 1 else None
-    light, radiance, target = sample_light(scene, surface.point, surface.primitive, u[first + 2], u[first + 3], pick)
+    pick = u[first + 2] if len(scene.lights) > 1 else None
+    light, radiance, target = sample_light(scene, surface.point, surface.primitive, u[first], u[first + 1], pick)
     cosine = dot(surface.normal, light.wi)
     toward = shapes.ray(surface.point, light.wi)
     visible = (cosine > 0.0) & (light.inverse_pdf > 0.0) & (surface.primitive >= 0)
@@ -142,7 +145,8 @@ def scatter(scene, strategy, u, first, surface: Surface, path: PathState, anywhe
         direct = _direct_light(scene, strategy, surface, u, first, anywhere)
         direct = where(mirror, black(scene), direct) if scene.mirrors else direct
         radiance = radiance + beta * direct
-    wi, pdf, weight = sample_diffuse(strategy.directions, surface.normal, u[first], u[first + 1])
+    toward = first + strategy.coordinates(scene).index(POLAR)
+    wi, pdf, weight = sample_diffuse(strategy.directions, surface.normal, u[toward], u[toward + 1])
     if scene.mirrors:
         wi = where(mirror, reflect(path.ray.direction, surface.normal), wi)
         weight = jnp.where(mirror, 1.0, weight)
