@@ -9,6 +9,10 @@ from . import backend
 backend.configure()
 
 from . import analysis as analysis
+from .integration.adaptive import ImportanceMap as ImportanceMap
+from .integration.adaptive import adapt as adapt
+from .integration.combine import combine as combine
+from .integration.controls import control_variates as control_variates
 from .integration.draw import draw as draw
 from .integration.driver import integrate as integrate
 from .integration.driver import integrate_each as integrate_each
@@ -16,6 +20,9 @@ from .integration.estimate import Estimate as Estimate
 from .integration.integrand import Integrand as Integrand
 from .integration.intervals import Interval as Interval
 from .integration.lattices import Lattice as Lattice
+from .integration.mixtures import mixture as mixture
+from .integration.mixtures import one_sample_mixture as one_sample_mixture
+from .integration.mixtures import optimal_mixture as optimal_mixture
 from .integration.moments import Moments as Moments
 from .integration.nets import Halton as Halton
 from .integration.nets import Sobol as Sobol
@@ -26,6 +33,7 @@ from .integration.tallies import ClampLadder as ClampLadder
 from .integration.tallies import Histogram as Histogram
 from .integration.tallies import TailHistogram as TailHistogram
 from .integration.tallies import TopSamples as TopSamples
+from .integration.techniques import Technique as Technique
 from .transport.camera import PinholeCamera as PinholeCamera
 from .transport.debug import replay as replay
 from .transport.integrands import intersect as intersect

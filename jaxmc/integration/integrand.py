@@ -55,6 +55,21 @@ class Integrand:
         """Return the integrand of ``g(value)``. ``g`` is static: pass the same function to run the same kernel."""
         return dataclasses.replace(self, fn=_Composed(self.fn, g))
 
+    def through(self, change) -> "Integrand":
+        """Return the integrand f(x(u)) |dx / du|, which has the same integral.
+
+        ``change(u) -> (x, jacobian)`` is a change of variables of (0, 1)^dim and a pytree, such as an ``ImportanceMap``.
+        It becomes the last of ``params``.
+
+        Raises:
+            ValueError: ``change`` is not callable, or has another dimension.
+        """
+        if not callable(change):
+            raise ValueError(f"through wants a change of variables u -> (x, jacobian), got {change!r}")
+        if getattr(change, "dim", self.dim) != self.dim:
+            raise ValueError(f"the change of variables has dim={change.dim}, the integrand {self.dim}; adapt another")
+        return Integrand(_Through(self.fn, len(self.params)), self.dim, (*self.params, change), labels=self.labels)
+
     def batch(self, u):
         """Return the values at an array of points of shape ``(n, dim)``: leading axis n on every leaf.
 
@@ -75,6 +90,19 @@ class _Composed:
 
     def __call__(self, u, *params):
         return self.g(self.f(u, *params))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Through:
+    """fn(x(u)) times the jacobian; the change follows the parameters of fn, the number of an item follows it."""
+
+    fn: Callable[..., Any]
+    count: int  # of parameters of fn
+
+    def __call__(self, u, *args):
+        x, jacobian = args[self.count](u)
+        value = self.fn(x, *args[: self.count], *args[self.count + 1 :])
+        return jax.tree.map(lambda v: v * jacobian, value)
 
 
 @jax.jit
