@@ -6,6 +6,8 @@
 PYTHON ?= python3
 VENV   := .venv
 PEERS  := .venv-peers
+# Each is optional. Without torch, 800 MB, torchquad works on NumPy.
+PEER_PACKAGES := "mitsuba>=3.7" vegas "qmcpy>=2" quadax torchquad
 PIP    := -m pip install --quiet --no-input --disable-pip-version-check
 # What `clean` removes besides the environments, which `make distclean` removes too.
 LITTER := out build dist .pytest_cache .ruff_cache .hypothesis
@@ -32,8 +34,9 @@ lint: $(VENV)/.installed-lint
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/pyright --pythonpath $(VENV)/bin/python
 
-# Other renderers, kept apart so that their versions of shared packages never meet ours.
+# Other renderers and integrators, kept apart so that their versions of shared packages never meet ours.
 peers: $(PEERS)/.installed
+	@echo "Error against time beside all of them: $(VENV)/bin/python benchmarks/time_to_error.py"
 	@echo "Mitsuba is ready: $(PEERS)/bin/python benchmarks/mitsuba_cornell.py llvm_ad_rgb"
 	@echo "Its LLVM variants need the LLVM library, version 19 or newer: install it (Debian and Ubuntu: libllvm19)"
 	@echo "and, if it is in an unusual folder, set DRJIT_LIBLLVM_PATH to the file, for example libLLVM-19.so."
@@ -55,7 +58,10 @@ $(VENV)/.installed-%: pyproject.toml | $(VENV)/bin/python
 	@touch $@
 
 $(PEERS)/.installed: pyproject.toml | $(PEERS)/bin/python
-	$(PEERS)/bin/python $(PIP) "mitsuba>=3.7" numpy
+	$(PEERS)/bin/python $(PIP) numpy scipy
+	@for package in $(PEER_PACKAGES); do \
+	  $(PEERS)/bin/python $(PIP) "$$package" || echo "$$package cannot be installed here: the others go on without it"; \
+	done
 	@touch $@
 
 %/bin/python:

@@ -6,14 +6,16 @@ Reads one JSON object per line from stdin and answers each with one JSON object 
 
 * a scene ``{"width", "height", "fov", "origin", "target", "up", "bounces", "quads", "spheres"}``
   -> ``{"ready": true, "variant", "mitsuba", "threads"}``;
-* a request ``{"spp": 64, "seed": 3}`` -> ``{"seconds", "file"}``, the image as a .npy file of shape (height, width, 3),
-  linear radiance. ``seconds`` covers the rendering and the copy to NumPy, and nothing else: the first request for a
-  scene and a number of samples renders twice and times the second, because Mitsuba compiles when either changes.
+* a request ``{"spp": 64, "seed": 3}`` -> ``{"seconds", "first", "file"}``, the image as a .npy file of shape (height,
+  width, 3), linear radiance. ``seconds`` covers the rendering and the copy to NumPy, and nothing else: the first
+  request for a scene and a number of samples renders twice and times the second, because Mitsuba compiles when either
+  changes. ``first`` is the time of the latest render that compiled.
 
 A line that fails is answered ``{"error": ...}``. The images live until stdin closes. In a description ``fov`` is
 vertical, in degrees, and ``bounces`` counts scattering events. A quad ``{"corner", "edge_u", "edge_v"}`` reflects on
 both sides and emits where ``cross(edge_u, edge_v)`` points; a sphere has ``{"center", "radius"}``. Both have
-``{"albedo", "mirror", "emission"}``: RGB, true or false, and RGB or null. ``peers.py`` writes descriptions.
+``{"albedo", "mirror", "emission"}``: RGB, true or false, and RGB or null. A scene may also name a ``"sampler"`` of
+Mitsuba, and hold an ``"integrator"`` as Mitsuba describes it. ``peers.py`` writes descriptions.
 """
 
 import json
@@ -71,13 +73,14 @@ def build(mi, description):
     scene = {
         "type": "scene",
         # Mitsuba counts edges, so emission seen directly is depth 1. rr_depth keeps Russian roulette out.
-        "integrator": {"type": "path", "max_depth": description["bounces"] + 1, "rr_depth": 1000},
+        "integrator": description.get("integrator")
+        or {"type": "path", "max_depth": description["bounces"] + 1, "rr_depth": 1000},
         "sensor": {
             "type": "perspective",
             "fov": description["fov"],
             "fov_axis": "y",
             "to_world": transform().look_at(*(list(description[key]) for key in ("origin", "target", "up"))),
-            "sampler": {"type": "independent"},
+            "sampler": {"type": description.get("sampler", "independent")},
             "film": {
                 "type": "hdrfilm",
                 "width": description["width"],
@@ -115,7 +118,7 @@ def serve(variant, requests, reply, folder):
     import mitsuba as mi
 
     mi.set_variant(variant)
-    scene, warm = None, set()
+    scene, warm, first = None, set(), None
     for count, line in enumerate(filter(str.strip, requests)):
         try:
             message = json.loads(line)
@@ -128,12 +131,12 @@ def serve(variant, requests, reply, folder):
                 raise ValueError("a scene must come before the first request")
             spp, seed = int(message["spp"]), int(message.get("seed", 0))
             if spp not in warm:
-                timed_render(mi, scene, spp, seed)
+                first = timed_render(mi, scene, spp, seed)[0]
                 warm.add(spp)
             seconds, image = timed_render(mi, scene, spp, seed)
             file = Path(folder) / f"{count}.npy"
             np.save(file, image)
-            reply({"seconds": seconds, "file": str(file)})
+            reply({"seconds": seconds, "first": first, "file": str(file)})
         except Exception as error:  # a server says what went wrong and takes the next line
             reply({"error": f"{type(error).__name__}: {error}"})
 

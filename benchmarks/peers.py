@@ -13,11 +13,11 @@ SERVER = Path(__file__).with_name("mitsuba_cornell.py")
 
 
 class Peer:
-    """Mitsuba in a process of its own, which computes only between a request and its answer."""
+    """Mitsuba, or another ``server``, in a process of its own, which computes only between a request and its answer."""
 
-    def __init__(self, python, variant):
+    def __init__(self, python, variant, server=SERVER):
         self.variant, self.about = variant, {}
-        command = [str(python), str(SERVER), variant]
+        command = [str(python), str(server), variant]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def __enter__(self):
@@ -28,24 +28,25 @@ class Peer:
             self._process.stdin.close()
         self._process.wait()
 
-    def load(self, parts, width, height, bounces):
-        """Build a scene; returns what Mitsuba says about itself."""
-        self.about = self._ask(describe(parts, width, height, bounces))
+    def load(self, parts, width, height, bounces, **more):
+        """Build a scene; returns what Mitsuba says about itself. ``more``: its sampler and integrator, if others."""
+        self.about = self.ask({**describe(parts, width, height, bounces), **more})
         return self.about
 
     def render(self, spp, seed):
         """Return (seconds, image of shape (height, width, 3))."""
-        answer = self._ask({"spp": spp, "seed": seed})
+        answer = self.ask({"spp": spp, "seed": seed})
         return answer["seconds"], np.load(answer["file"])
 
-    def _ask(self, message):
+    def ask(self, message):
+        """Return the answer to a message, or raise ``RuntimeError`` with the one that its process gives."""
         with contextlib.suppress(BrokenPipeError):  # a process that has ended answers nothing, and said why on stderr
             self._process.stdin.write(json.dumps(message) + "\n")
             self._process.stdin.flush()
         line = self._process.stdout.readline()
         answer = json.loads(line) if line else {"error": f"its process ended with status {self._process.wait()}"}
         if "error" in answer:
-            raise RuntimeError(f"Mitsuba {self.variant}: {answer['error']}")
+            raise RuntimeError(f"{self.variant}: {answer['error']}")
         return answer
 
 

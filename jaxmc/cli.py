@@ -3,8 +3,8 @@
 import argparse
 import sys
 
-from . import __version__, scenes
-from .studies import mirror_box, sparkles
+from . import __version__, bench, scenes
+from .studies import calibration, mirror_box, sparkles
 from .transport.debug import replay
 
 
@@ -35,7 +35,10 @@ def _parser():
     sparkle = study.add_parser("sparkles", help="uniform against cosine-weighted directions in a box with a gap")
     sparkle.add_argument("--paths", type=int, default=1 << 24, help="paths searched for the extreme one (default 2^24)")
     sparkle.set_defaults(run=_study_sparkles)
-    for command, name in ((mirror, "mirror-box"), (sparkle, "sparkles")):
+    calibrate = study.add_parser("calibration", help="do intervals cover known integrals as often as they say?")
+    calibrate.add_argument("--replicates", type=int, default=300, help="estimates of each integral (default 300)")
+    calibrate.set_defaults(run=_study_calibration)
+    for command, name in ((mirror, "mirror-box"), (sparkle, "sparkles"), (calibrate, "calibration")):
         command.add_argument("--out", default=f"out/{name}", help=f"folder of the report (default out/{name})")
         command.add_argument("--seed", type=int, default=0, help="seed (default 0)")
         command.add_argument("--quiet", action="store_true", help="no progress bar")
@@ -47,7 +50,20 @@ def _parser():
         one.add_argument("--sample", type=int, required=True, metavar="INDEX", help="sample index, from the report")
         one.add_argument("--seed", type=int, default=0, help="seed of the study (default 0)")
         one.set_defaults(run=run)
+    race = commands.add_parser("bench", help="error against run time of every sampler, and of other integrators")
+    race.add_argument("name", nargs="?", default="oscillatory", help="integrand: a known name or module:function")
+    race.add_argument("--dim", type=int, help="dimensions, where the integrand comes in any (most are made for 8)")
+    race.add_argument("--max-seconds", type=float, default=30.0, help="time to measure, besides compiling (default 30)")
+    race.add_argument("--out", default="out/bench", help="folder of figure and numbers (default out/bench)")
+    race.set_defaults(run=_bench)
     return parser
+
+
+def _bench(options):
+    if not options.max_seconds > 0:
+        raise ValueError(f"--max-seconds must be positive, got {options.max_seconds}")
+    bench.run(options.name, options.dim, options.max_seconds, options.out)
+    return 0
 
 
 def _study_mirror_box(options):
@@ -59,6 +75,12 @@ def _study_mirror_box(options):
 def _study_sparkles(options):
     settings = sparkles.Settings(paths=options.paths, seed=_seed(options), progress=not options.quiet)
     print(f"report: {sparkles.run(options.out, settings)}")
+    return 0
+
+
+def _study_calibration(options):
+    settings = calibration.Settings(replicates=options.replicates, seed=_seed(options), progress=not options.quiet)
+    print(f"report: {calibration.run(options.out, settings)}")
     return 0
 
 

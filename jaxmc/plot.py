@@ -2,9 +2,11 @@
 
 import matplotlib
 import numpy as np
+from scipy import stats
 
 matplotlib.use("Agg", force=False)
 import matplotlib.pyplot as plt
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 SAMPLE_COUNT_COLORS = {16: "#d95f02", 128: "#7570b3", 1024: "#1b9e77"}
 
@@ -130,3 +132,87 @@ def panels(count, columns=2, size=(5.2, 3.8)):
     for ax in axes.flat[count:]:
         ax.axis("off")
     return fig, axes.ravel()[:count]
+
+
+def reliability(ax, measured, level=0.95):
+    """Draw the share of intervals that cover against their nominal level; ``measured``: label -> ``Coverage``.
+
+    Grey: where the share of a right interval lies with probability ``level``, for the fewest claims among them.
+    """
+    claims = min(c.claims for c in measured.values())
+    nominal = np.linspace(0.3, 0.997, 400)
+    edges = [stats.binom.ppf(side, claims, nominal) / claims for side in (0.5 - 0.5 * level, 0.5 + 0.5 * level)]
+    least, most = 0.1, 1.0 - 0.5 / claims
+    ax.fill_between(nominal, *np.clip(edges, least, most), color="0.85", label=f"right, {level:.0%} band")
+    ax.plot(nominal, nominal, color="k", lw=0.6, ls="--")
+    for label, c in measured.items():
+        ax.plot(c.levels, np.clip(c.covered[0], least, most), ".-", lw=0.8, ms=5, label=label)
+    ax.set(xscale="logit", yscale="logit", xlim=(0.4, 0.995), ylim=(0.9 * least, 0.9995))
+    for axis, ticks in ((ax.xaxis, (0.5, 0.9, 0.95, 0.99)), (ax.yaxis, (0.1, 0.5, 0.9, 0.95, 0.99, 0.999))):
+        axis.set_major_locator(FixedLocator(ticks))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())
+    ax.set(xlabel="nominal level", ylabel="share of intervals that cover")
+    ax.grid(alpha=0.3)
+
+
+def z_scores(ax, z, dof):
+    """Draw the histogram of (mean - exact) / stderr beside its law, Student's; the outer bins hold all beyond."""
+    z = z[~np.isnan(z)]
+    edges = np.linspace(-5.0, 5.0, 41)
+    ax.hist(np.clip(z, -4.99, 4.99), edges, density=True, color="#9ecae1", label=f"{z.size:,} runs")
+    x = np.linspace(-5.0, 5.0, 300)
+    ax.plot(x, stats.t.pdf(x, dof), color="k", lw=1, label="normal law" if np.isinf(dof) else f"Student's, {dof:g} dof")
+    ax.set(xlabel="(mean - exact) / stderr", ylabel="density")
+    ax.legend(fontsize=8)
+
+
+def histograms(ax, samples, edges, truth, xlabel):
+    """Draw histograms of samples by label, and where the truth lies; the outer bins hold all beyond."""
+    for (label, values), color in zip(samples.items(), ("#08519c", "#d95f02")):
+        ax.hist(np.clip(values, edges[0], edges[-1]), edges, color=color, alpha=0.6, label=label)
+    ax.axvline(truth, color="k", lw=1, label="truth")
+    ax.set(xlabel=xlabel, ylabel="runs")
+    ax.legend(fontsize=8)
+
+
+OWN_COLORS = {
+    "Independent": "#08519c", "Sobol": "#d95f02", "Lattice": "#1b9e77", "Halton": "#7570b3",
+    "LatinHypercube": "#e7298a", "Stratified": "#a6761d",
+}  # fmt: skip
+OTHER_MARKERS = "osD^vx+*P<>1248p"
+
+
+def time_to_error(ax, curves, title, targets=(), others=None):
+    """Draw error against time: our methods in colour (dotted without an error bar), others dashed in grey.
+
+    ``curves`` are those of ``bench``; ``others`` names what is not ours in an order that all axes of a figure share.
+    """
+    others = others or [curve.name for curve in curves if not curve.own]
+    for curve in sorted(curves, key=lambda c: c.own):
+        x, y = [r.seconds for r in curve.rungs], [r.error for r in curve.rungs]
+        if curve.own:
+            color = OWN_COLORS.get(curve.name.partition(",")[0])
+            style = {"color": color, "ls": "-" if curve.error_bar else ":", "lw": 1.8, "ms": 5, "marker": "."}
+        else:
+            place = others.index(curve.name)
+            grey = str(0.2 + 0.12 * (place % 5))
+            style = {"color": grey, "ls": "--", "lw": 0.8, "ms": 4, "marker": OTHER_MARKERS[place % len(OTHER_MARKERS)]}
+        ax.plot(x, y, label=curve.name, **style)
+    for target in targets:
+        ax.axhline(target, color="k", lw=0.6, alpha=0.5)
+    ax.set(xscale="log", yscale="log", xlabel="time of one estimate (s)", ylabel="RMS relative error")
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_minor_formatter("")
+    ax.set_title(title, fontsize=10)
+    ax.grid(alpha=0.25)
+
+
+def time_legend(fig):
+    """Draw one legend for all axes of a figure, below it: ours first."""
+    handles = {}
+    for ax in fig.axes:
+        for handle, label in zip(*ax.get_legend_handles_labels()):
+            handles.setdefault(label, handle)
+    order = sorted(handles, key=lambda label: handles[label].get_linestyle() == "--")
+    fig.legend([handles[k] for k in order], order, loc="outside lower center", ncols=5, fontsize=8, frameon=False)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-TOP = "integration transport analysis gradients backend report plot scenes testing"
+TOP = "integration transport analysis gradients backend report plot scenes testing race other_integrators"
 # room -> the rooms that it may import, besides itself. "" is `jaxmc` itself, that is, the public names.
 ALLOWED = {
     "backend": "",
@@ -18,10 +18,13 @@ ALLOWED = {
     "gradients": "integration transport backend",
     "plot": "analysis",
     "scenes": "transport",
+    "race": "analysis",
+    "other_integrators": "",
 }
 EDGES = {room: {room, *rooms.split()} for room, rooms in ALLOWED.items()}
+EDGES["bench"] = {"", "bench", *TOP.split()}
 EDGES["studies"] = {"", "studies", *TOP.split()}
-EDGES[""] = EDGES["cli"] = EDGES["__main__"] = {"cli", *EDGES["studies"]}
+EDGES[""] = EDGES["cli"] = EDGES["__main__"] = {"cli", "bench", *EDGES["studies"]}
 FILES = sorted(path for package in ("jaxmc", "analytic_scenes") for path in (ROOT / package).rglob("*.py"))
 
 
@@ -72,6 +75,9 @@ def test_imports_follow_the_arrows():
         ("jaxmc/studies/mirror_box", "import jaxmc as mc\nfrom ..report import Report", False),
         ("jaxmc/studies/mirror_box", "import analytic_scenes", True),
         ("jaxmc/studies/mirror_box", "from matplotlib import pyplot", True),
+        ("jaxmc/bench", "from . import integrate, plot", False),
+        ("jaxmc/bench", "import analytic_scenes.genz", True),
+        ("jaxmc/other_integrators", "from . import integrate", True),
         ("jaxmc/report", "from .backend import configure", True),
         ("jaxmc/__init__", "from .plot import image", False),
         ("jaxmc/transport/vec", "from jax._src import core", True),

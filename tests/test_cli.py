@@ -66,7 +66,7 @@ def test_replay_prints_a_path(capsys):
         (["study", "mirror-box", "--seed", "-1"], "seed"),
         (["study", "mirror-box", "--quiet", "--out", "/dev/null/x"], "Name another folder"),
         (["study", "sparkles", "--paths", "1"], "2^14"),
-        (["replay", "mirror-box", "--sample", "-4"], "[0, 2^63)"),
+        (["replay", "mirror-box", "--sample", "-4"], "[0, 2^64)"),
     ],
 )
 def test_errors_are_one_line_with_the_cure(arguments, cure, capsys):

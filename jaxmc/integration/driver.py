@@ -4,11 +4,12 @@ Kernel calls run on as many threads as there are cores, and XLA keeps each call 
 the order of the blocks: a result is the same, bit for bit, for any chunk size and any number of workers.
 """
 
+import functools
 import itertools
 import time
 from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from operator import itemgetter
 from typing import Any
 
@@ -22,7 +23,7 @@ from . import stopping
 from .estimate import Estimate
 from .integrand import Integrand, as_integrand
 from .kernel import BLOCK, CHUNK, evaluate, item_jobs, lanes_for, stream_jobs
-from .moments import Moments, Replicates
+from .moments import Moments, Replicates, pool
 from .samplers import Independent, index_words, seed_words
 
 REPLICATES = 16  # of a single integral
@@ -166,7 +167,7 @@ class Run:
 
     def _add(self, jobs, points, bar, deadline=np.inf) -> bool:
         tables = jax.tree.map(jnp.asarray, self.sampler.tables(points, self.integrand.dim))
-        static = tuple(self.tallies.items())
+        static, x64 = tuple(self.tallies.items()), jax.config.jax_enable_x64
 
         def call(job):
             return evaluate(
@@ -177,15 +178,16 @@ class Run:
         def records_of(job):
             # Drop the blocks that want no samples: they are the last ones, and their records are empty.
             blocks = np.count_nonzero(job.rows.any(axis=1))
-            return job, jax.tree.map(lambda x: np.asarray(x)[:blocks], call(job)[0])
+            # Threads do not inherit the precision that a ``with`` block has set.
+            with jax.enable_x64(x64):
+                return job, jax.tree.map(lambda x: np.asarray(x)[:blocks], call(job)[0])
 
         # Compile once, on a job that wants no samples.
         first = next(jobs)
         if not self.states:
             nothing, self.example = call(first._replace(rows=np.zeros_like(first.rows)))
-            items = (self.items,) if self.items else ()
-            self.states = {name: tally.init(nothing[name], items) for name, tally in self.tallies.items()}
-            self.spread = None if self.replicates is None else Replicates(self.states["moments"])
+            self.states = {name: self._init(name, tally, nothing[name]) for name, tally in self.tallies.items()}
+            self.spread = Replicates(self.states["moments"]) if self.items and self.replicates else None
         for job, records in ordered_map(records_of, itertools.chain([first], jobs), self.workers):
             for name, tally in self.tallies.items():
                 self._fold(name, tally, records[name], job)
@@ -195,50 +197,70 @@ class Run:
                 return False
         return True
 
+    def _init(self, name, tally, record):
+        if self.items or not self.replicates or name != "moments":
+            return tally.init(record, (self.items,) if self.items else ())
+        # Keep the moments of each replicate by themselves.
+        return tally.init(jax.tree.map(lambda x: np.zeros((1, 1, *x.shape[1:])), record), (self.replicates,))
+
     def _fold(self, name, tally, record, job):
-        state, spread = self.states[name], self.spread if name == "moments" else None
+        state = self.states[name]
         if tally.pooled:
             extra = {"index": job.index} if "value" in record else {}
             tally.add(state, record, **extra)
         elif self.items:
-            if spread is not None:
-                spread.begin(job.replicate[0])
+            if name == "moments" and self.spread:
+                self.spread.begin(job.replicate[0])
             # Lanes are integrals: drop the lanes behind the last one.
             count = len(range(*job.items.indices(self.items)))
             flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], record)
             tally.add(state, flat, slice(job.items.start, job.items.start + count))
         else:
-            for block in range(len(jax.tree.leaves(record)[0])):
-                if spread is not None:
-                    spread.begin(job.replicate[block])
-                tally.add(state, jax.tree.map(itemgetter(block), record))
+            blocks = len(jax.tree.leaves(record)[0])
+            which = job.replicate[:blocks] - (self.used - (self.replicates or 0))
+            if name == "moments" and self.replicates and len(set(which)) == blocks:
+                tally.add(state, record, which)
+                return
+            for block in range(blocks):
+                where = (which[block],) if name == "moments" and self.replicates else ...
+                tally.add(state, jax.tree.map(itemgetter(block), record), where)
 
     def _estimate(self, points) -> Estimate:
-        if self.spread is not None:
-            moments, between, means = self.spread.finish()
-        else:
-            moments, between, means = self.tallies["moments"].result(self.states["moments"]), None, None
+        moments = self.tallies["moments"].result(self.states["moments"])
+        between = means = None
+        if self.spread:
+            moments, between = self.spread.finish()
+        elif self.replicates:
+            means = [m.mean for m in moments]
+            moments, between = map(list, zip(*map(pool, moments), strict=True))
         results = {name: t.result(self.states[name]) for name, t in self.tallies.items() if name != "moments"}
         recipe = {"key": self.key, "sampler": repr(self.sampler), "n": self.n}
-        if self.replicates is not None:
+        if self.replicates:
             recipe |= {"replicates": self.replicates, "points": points}
         structure = jax.tree.structure(self.example)
         return Estimate(moments, self.n, results, self.seconds, recipe, structure, between, means)
 
 
+@functools.cache
+def _pool(workers):
+    return ThreadPoolExecutor(workers)
+
+
 def ordered_map(function, jobs, workers) -> Iterator:
     """Yield ``function(job)`` in the order of the jobs, with ``workers`` threads and a bounded queue."""
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            pending = deque()
-            for job in jobs:
-                pending.append(pool.submit(function, job))
-                if len(pending) > 2 * workers:
-                    yield pending.popleft().result()
-            while pending:
+    pool, pending = _pool(workers), deque()
+    try:
+        for job in jobs:
+            pending.append(pool.submit(function, job))
+            if len(pending) > 2 * workers:
                 yield pending.popleft().result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+        while pending:
+            yield pending.popleft().result()
+    finally:
+        # Leave nothing running behind: whoever stops early may change what the jobs use.
+        for future in pending:
+            future.cancel()
+        wait(pending)
 
 
 class Progress:

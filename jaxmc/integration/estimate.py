@@ -26,7 +26,7 @@ class Estimate:
         seconds: wall time of the run, compilation included.
         recipe: what is needed to run it again: key, sampler, n, replicates.
         between: moments of the means of independent randomisations; None where the samples are independent.
-        replicate_means: those means, shape (R, ...) for each leaf, None for leaves of more than 4096 numbers.
+        replicate_means: those means, shape (R, ...) for each leaf; None for a family of integrals.
         reached: whether the target was met; None where there was none.
     """
 
@@ -37,7 +37,7 @@ class Estimate:
     recipe: dict[str, Any]
     structure: Any = None
     between: list[MomentsResult] | None = None
-    replicate_means: list[np.ndarray | None] | None = None
+    replicate_means: list[np.ndarray] | None = None
     reached: bool | None = None
 
     def __getitem__(self, name):
@@ -80,11 +80,14 @@ class Estimate:
     @property
     def status(self) -> str:
         """Whether mean and error can be trusted, and whether a target was met: one of ``"non-finite values seen"``,
-        ``"tail too heavy"``, ``"converged"``, ``"budget reached"``, and ``"complete"`` where there was no target."""
+        ``"tail too heavy"``, ``"all samples equal"`` (a constant, or an event so rare that none has met it), and then
+        ``"converged"``, ``"budget reached"``, or ``"complete"`` where there was no target."""
         if self.nonfinite:
             return "non-finite values seen"
         if self.heavy:
             return "tail too heavy"
+        if self.moments and all(np.all((m.n > 1) & (m.central[0] == 0.0)) for m in self.moments):
+            return "all samples equal"
         return {None: "complete", True: "converged", False: "budget reached"}[self.reached]
 
     def interval(self, level: float = 0.95, method: str | None = None, bounds=None) -> Interval:

@@ -58,8 +58,8 @@ class Integrand:
     def through(self, change) -> "Integrand":
         """Return the integrand f(x(u)) |dx / du|, which has the same integral.
 
-        ``change(u) -> (x, jacobian)`` is a change of variables of (0, 1)^dim and a pytree, such as an ``ImportanceMap``.
-        It becomes the last of ``params``.
+        ``change(u) -> (x, jacobian)`` is a change of variables of (0, 1)^dim and a pytree, such as an
+        ``ImportanceMap``; it becomes the last of ``params``.
 
         Raises:
             ValueError: ``change`` is not callable, or has another dimension.

@@ -113,6 +113,20 @@ def _indices_of_row(base, offset, independent, each):
     return (Index(high + offset, low), Index(0, None)) if each else (Index(high, low + offset), Index(None, 0))
 
 
+def _point(sampler, tables, seed, index):
+    return sampler.point(seed, index, *tables)
+
+
+def _values_of_row(integrand, point, index, word_axes, items):
+    """Return the values of the samples of a row, leading axis LANES."""
+    item_axes = tuple(0 for _ in items)
+    if integrand.lazy:
+        return jax.vmap(lambda i, *item: integrand.at(point(i), *item), in_axes=(word_axes, *item_axes))(index, *items)
+    # Put the lanes on the last axis, where vector code runs. A loop keeps XLA from making coordinates more than once.
+    u = lax.map(lambda k: jax.vmap(lambda i: point(i)[k], in_axes=(word_axes,))(index), jnp.arange(integrand.dim))
+    return jax.vmap(lambda u, *item: integrand.fn(u, *integrand.params, *item), in_axes=(1, *item_axes))(u, *items)
+
+
 @partial(jax.jit, static_argnames=("sampler", "tallies", "each"), compiler_options=backend.KERNEL_OPTIONS)
 def evaluate(integrand, tables, seed, base, offset, rows, *, sampler, tallies, each):
     """Return the records of every tally for each block (leading axis) and a value, for its structure.
@@ -130,8 +144,7 @@ def evaluate(integrand, tables, seed, base, offset, rows, *, sampler, tallies, e
         def evaluate_row(r, values):
             index, word_axes = _indices_of_row(base[r], offset, sampler.independent, each)
             items = (offset,) if each else ()
-            one = partial(point_value, integrand, sampler, tables, seed)
-            value = jax.vmap(one, in_axes=(word_axes, *(0 for _ in items)))(index, *items)
+            value = _values_of_row(integrand, partial(_point, sampler, tables, seed), index, word_axes, items)
             return jax.tree.map(lambda all_rows, x: all_rows.at[r].set(x), values, value)
 
         valid = jnp.arange(ROWS)[:, None] < rows

@@ -11,7 +11,6 @@ import numpy as np
 from jax import lax
 
 PIECE = 8192  # numbers that are worked on together
-FEW = 4096  # numbers in the mean of a randomisation that is kept
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,21 +60,37 @@ def _reduce_moments(x, valid, axes, order):
     # Count in at least float32: a bool, a small integer or a half cannot hold the number of samples.
     x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
     valid = valid.reshape(valid.shape + (1,) * (x.ndim - 2))
+    lanes = tuple(axis - 1 for axis in axes if axis > 0)
     count = valid.sum(axes).astype(x.dtype)
     # Scale before summing, or finite values above 2e34 overflow; the mean need not be exact, deviations make up for it.
     size = math.prod(x.shape[axis] for axis in axes)
-    mean = block_sum(jnp.where(valid, x, 0.0) * (1.0 / size), axes) * (size / jnp.maximum(count, 1.0))
-    deviation = jnp.where(valid, x - jnp.expand_dims(mean, axes), 0.0)
-    scale = jnp.abs(deviation).max(axes)
-    z = deviation * jnp.expand_dims(jnp.where(scale > 0.0, 1.0 / scale, 0.0), axes)
-    bad = (valid & ~jnp.isfinite(x)).sum(axes)
-    powers = [z, z * z, z * z * z, (z * z) * (z * z)][:order]
+
+    def per_lane(start, step):
+        """Fold the rows that are wanted, each lane by itself."""
+        used = valid.any(tuple(range(1, valid.ndim))).sum()
+        return lax.fori_loop(0, used, lambda r, sums: step(sums, x[r], valid[r]), start)
+
+    zero = jnp.zeros(x.shape[1:], x.dtype)
+    total = per_lane(zero, lambda s, x, valid: s + jnp.where(valid, x, 0.0) * (1.0 / size))
+    mean = total.sum(lanes) * (size / jnp.maximum(count, 1.0))
+    center = jnp.expand_dims(mean, lanes)
+    widest = per_lane(zero, lambda s, x, valid: jnp.maximum(s, jnp.where(valid, jnp.abs(x - center), 0.0)))
+    scale = widest.max(lanes)
+    inverse = jnp.expand_dims(jnp.where(scale > 0.0, 1.0 / scale, 0.0), lanes)
+
+    def add_powers(sums, x, valid):
+        z = jnp.where(valid, x - center, 0.0) * inverse
+        powers = [z, z * z, z * z * z, (z * z) * (z * z)][:order]
+        bad = sums[1] + (valid & ~jnp.isfinite(x))
+        return [s + power for s, power in zip(sums[0], powers, strict=True)], bad
+
+    powers, bad = per_lane(([zero] * order, jnp.zeros(x.shape[1:], jnp.int32)), add_powers)
     return {
         "count": jnp.broadcast_to(count, mean.shape),
         "mean": mean,
         "scale": scale,
-        "powers": [block_sum(power, axes) for power in powers],
-        "nonfinite": bad,
+        "powers": [power.sum(lanes) for power in powers],
+        "nonfinite": bad.sum(lanes),
     }
 
 
@@ -174,16 +189,13 @@ class _PowerSums:
 
 
 class Replicates:
-    """The moments of independent randomisations, one after the other: pooled over all samples, and of their means.
-
-    ``current`` holds the sums of the randomisation under way, one ``_PowerSums`` to a leaf.
-    """
+    """The moments of independent randomisations of a family, one after the other: pooled over all samples, and of their
+    means. ``current`` holds the sums of the randomisation under way, one ``_PowerSums`` to a leaf."""
 
     def __init__(self, current):
         self.current, self.under_way = current, None
         self.pooled = [_PowerSums.zeros(sums.center.shape, len(sums.total)) for sums in current]
         self.between = [_PowerSums.zeros(sums.center.shape, 2) for sums in current]
-        self.means = [[] for _ in current]
 
     def begin(self, replicate):
         """Say that the next samples belong to this randomisation."""
@@ -192,21 +204,32 @@ class Replicates:
         self.under_way = replicate
 
     def _close(self):
-        for sums, pooled, between, means in zip(self.current, self.pooled, self.between, self.means, strict=True):
+        for sums, pooled, between in zip(self.current, self.pooled, self.between, strict=True):
             mean, zero = sums.moments().mean, np.zeros_like(sums.center)
             record = {"count": zero + 1.0, "mean": mean, "scale": zero, "powers": [zero, zero], "nonfinite": zero}
             between.add(record, ...)
             pooled.merge(sums)
-            if mean.size <= FEW:
-                means.append(mean)
             sums.clear()
 
     def finish(self):
-        """Return moments of all samples, moments of the means, and the means (R, ...), or None where they are many."""
+        """Return moments of all samples and moments of the means."""
         self._close()
         self.under_way = None
-        means = [np.array(m) if m else None for m in self.means]
-        return [s.moments() for s in self.pooled], [s.moments() for s in self.between], means
+        return [s.moments() for s in self.pooled], [s.moments() for s in self.between]
+
+
+@np.errstate(all="ignore")
+def pool(replicates: MomentsResult) -> tuple[MomentsResult, MomentsResult]:
+    """Return the moments of all samples and of the means, from those of replicates of one size on the first axis."""
+    means, count = replicates.mean, len(replicates.mean)
+    mean = means.mean(0)
+    powers = [np.zeros_like(means), *(c * replicates.n for c in replicates.central)]
+    central = [x.sum(0) / replicates.n.sum(0) for x in _shift(replicates.n, powers, means - mean)[1:]]
+    between = [((means - mean) ** 2).mean(0)]
+    return (
+        MomentsResult(replicates.n.sum(0), mean, central, replicates.nonfinite),
+        MomentsResult(np.full(mean.shape, float(count)), mean, between, 0),
+    )
 
 
 def _shift(n, powers, d):

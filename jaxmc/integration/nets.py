@@ -158,7 +158,7 @@ class _HaltonPoint:
         *_, weight, value = jax.lax.while_loop(unfinished, digit, start)
         if self.sampler.scramble:
             value = value + rest * weight * base.astype(kind)
-        return jnp.clip(value, 2.0**-33 if self.sampler.scramble else 0.0, 1.0 - 2.0**-24)
+        return jnp.clip(value, 2.0**-33 if self.sampler.scramble else 0.0, 1.0 - jnp.finfo(kind).epsneg)
 
 
 def _below(random, bound):

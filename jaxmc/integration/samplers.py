@@ -146,7 +146,7 @@ def fraction(bits, low=None):
 
 def randomisation(seed, index: Index) -> Point:
     """Return the random words that all points of one randomisation share: word k is ``.bits(k)``."""
-    return Independent().point(seed, Index(index.high, jnp.zeros_like(index.high)))
+    return Independent().point(seed ^ jnp.uint32(GOLDEN), Index(index.high, jnp.zeros_like(index.high)))
 
 
 def divide(number, base, inverse):

@@ -8,7 +8,7 @@ import numpy as np
 
 from .samplers import GOLDEN, Independent, Index, as_word, divide, mix, randomisation
 
-ROUNDS = 4
+ROUNDS = 8  # measured: with 4, images of pairs are uneven by up to 40 % for small n
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +29,7 @@ class LatinHypercube:
         return n
 
     def point(self, seed, index: Index, n):
-        return _LatinPoint(seed, index, n)
+        return _LatinPoint(seed, index, jnp.asarray(n))
 
 
 class _LatinPoint:
@@ -67,7 +67,7 @@ class Stratified:
         return n
 
     def point(self, seed, index: Index, grid):
-        return _JitteredPoint(self, seed, index, grid[0], grid[1])
+        return _JitteredPoint(self, seed, index, *jnp.asarray(grid))
 
 
 class _JitteredPoint:
@@ -98,17 +98,18 @@ def _checked(n):
 
 
 def _inside(stratum, jitter, n):
-    """Return the number at ``jitter`` in interval ``stratum`` of n, which it does not leave by rounding."""
+    """Return the number at ``jitter`` in interval ``stratum`` of n."""
     kind = jitter.dtype
-    u = (stratum.astype(kind) + jitter) / n.astype(kind)
-    return jnp.clip(u, 2.0**-33, 1.0 - 2.0**-24 if kind == jnp.float32 else 1.0 - 2.0**-53)
+    # Keep off the ends by what rounding may add, so that no point leaves its interval.
+    margin = jnp.minimum(n.astype(kind) * (2.0 * jnp.finfo(kind).eps), 0.5)
+    return (stratum.astype(kind) + (margin + jitter * (1.0 - 2.0 * margin))) / n.astype(kind)
 
 
 def permute(i, n, key):
     """Return where i < n goes under a permutation of 0 .. n - 1 that ``key`` picks.
 
     A keyed permutation of the words of as many bits as n - 1 has, repeated while the result lies outside (cycle
-    walking, Black and Rogaway 2002).
+    walking, Black and Rogaway 2002), and a rotation. Numbers from n on, which idle lanes have, count as n - 1.
     """
     bits = 32 - jax.lax.clz(jnp.maximum(n, 2) - 1)
     mask = (jnp.uint32(2) << (bits - 1)) - 1
@@ -123,5 +124,10 @@ def permute(i, n, key):
         return x
 
     shape = jnp.broadcast_shapes(jnp.shape(i), jnp.shape(key), jnp.shape(n))
-    first = walk(jnp.broadcast_to(i, shape) & mask)
-    return jax.lax.while_loop(lambda x: (x >= n).any(), lambda x: jnp.where(x >= n, walk(x), x), first)
+    first = walk(jnp.minimum(jnp.broadcast_to(i, shape), n - 1))
+    x = jax.lax.while_loop(lambda x: (x >= n).any(), lambda x: jnp.where(x >= n, walk(x), x), first)
+    turn = (mix(key + jnp.uint32(GOLDEN) * jnp.uint32(2 * ROUNDS)).astype(float) * (2.0**-32 * n.astype(float))).astype(
+        jnp.uint32
+    )
+    x = x + jnp.minimum(turn, n - 1)
+    return jnp.where(x >= n, x - n, x)
