@@ -3,8 +3,8 @@
     python benchmarks/coordinates.py [--rounds 7]
 
 The kernel adds up all coordinates of its points inside a loop, so that none is stored. The operations are those of the
-compiled loop body over its lanes, counted in XLA's optimised program; multiplications of 32-bit integers and conversions
-count as one like all others. Everything lands in ``benchmarks/results/coordinates.json``.
+compiled loop body over its lanes, counted in XLA's optimised program; products of 32-bit integers and conversions count
+as one like all others. Everything lands in ``benchmarks/results/coordinates.json``.
 """
 
 import argparse

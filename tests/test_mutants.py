@@ -134,9 +134,9 @@ class Reused:
 
 
 def light_picked_by_the_direction_that_led_here(right):
-    # An event has five coordinates: polar, azimuth, two for the point on the light, one to pick the light.
+    # An event has five coordinates: two for the point on the light, one to pick the light, polar, azimuth.
     def wrong(scene, strategy, surface, u, first, *rest):
-        return right(scene, strategy, surface, Reused(u, first + 4, first - 4), first, *rest)
+        return right(scene, strategy, surface, Reused(u, first + 2, first - 2), first, *rest)
 
     return wrong
 

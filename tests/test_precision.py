@@ -1,6 +1,7 @@
 """Precision: float32 against float64, long sums, and estimates put together from parts."""
 
 import copy
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -47,7 +48,7 @@ def test_the_mean_of_2_to_the_33_equal_numbers():
 def merged(f, cuts):
     """Return the moments of the samples between cuts, each part run by itself and all merged."""
     tally, states = mc.Moments(), []
-    for start, stop in zip(cuts, cuts[1:]):
+    for start, stop in itertools.pairwise(cuts):
         run = driver.Run(f, 0, mc.Independent(), None, None, None, 2)
         run.n = start
         run.stream(stop, driver.Progress(None, None))

@@ -86,8 +86,8 @@ class _JitteredPoint:
         size, others = jnp.where(second, self.down, self.across), jnp.where(second, self.across, self.down)
         jitter = self.own[dimension]
         if self.sampler.correlated:
-            # Divide the column among its cells, in an order that all columns share.
-            jitter = _inside(permute(other, others, mix(key + dimension)), jitter, others)
+            # Divide each column among its cells, in an order that all columns share.
+            mine, size = mine * others + permute(other, others, mix(key + dimension)), size * others
         return _inside(mine, jitter, size)
 
 

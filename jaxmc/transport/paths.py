@@ -22,7 +22,6 @@ from .scene import Scene
 from .shapes import LightSample, QuadLight, Ray
 from .vec import Vec3, dot, where
 
-
 POLAR, AZIMUTH = "direction: polar", "direction: azimuth"
 
 
