@@ -20,11 +20,11 @@ study: $(VENV)/.installed
 	$(VENV)/bin/jaxmc study mirror-box
 
 test: $(VENV)/.installed-test
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest -n auto --dist worksteal
 
 test-all: $(VENV)/.installed-test
-	$(VENV)/bin/python -m pytest -m "slow or not slow"
-	JAX_ENABLE_X64=1 $(VENV)/bin/python -m pytest -m "slow or not slow"
+	$(VENV)/bin/python -m pytest -n auto --dist worksteal -m "slow or not slow"
+	JAX_ENABLE_X64=1 $(VENV)/bin/python -m pytest -n auto --dist worksteal -m "slow or not slow"
 
 bench: $(VENV)/.installed
 	$(VENV)/bin/python benchmarks/throughput.py

@@ -167,6 +167,7 @@ def ridge(u, width):
     return jnp.exp(-0.5 * ((u - middle) ** 2).sum() / width**2 - 0.5 * ((middle - 0.5) / 0.2) ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dim", "width", "gain"), [(2, 0.02, 20.0), (4, 0.05, 10.0)])
 def test_strata_follow_a_diagonal(dim, width, gain):
     f = mc.Integrand(ridge, dim, (width,))
@@ -202,6 +203,7 @@ def test_even_first_coordinates_share_samples_out():
     assert np.var(means[0]) * 2.0 < np.var(means[1])
 
 
+@pytest.mark.slow
 def test_vectors_and_pytrees_share_a_map():
     def fn(u):
         return {"a": peak(u, 0.2, 0.05), "b": jnp.stack([peak(u, 0.8, 0.05), 0.0])}

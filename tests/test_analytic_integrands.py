@@ -208,6 +208,7 @@ def heavy():
     return integrands.heavy_integrands()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(11))
 def test_estimate_of_a_default_integrand(defaults, number):
     scene, n = defaults[number], 2**20

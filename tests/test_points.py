@@ -215,6 +215,7 @@ def test_each_point_is_uniform_and_randomisations_are_independent(sampler):
     assert {name: check(u) for name, check in CHECKS.items() if not check(u) > FAIL} == {}
 
 
+@pytest.mark.slow
 @each_sampler
 def test_keys_scramble_as_randomisations_do(sampler):
     """Neighbouring keys: 4096 of them see a law whose CDF is wrong by 6 %, a correlation of 10 %."""
@@ -402,6 +403,7 @@ def run(request):
     return sampler, mc.integrate(smooth, dim=8, n=N, sampler=sampler, replicates=REPLICATES, key=4, tallies=TOP)
 
 
+@pytest.mark.slow
 def test_means_are_unbiased_in_1_3_and_8_dimensions(run):
     _, estimate = run
     error, spread = estimate.mean["value"] - 1.0, estimate.stderr["value"]
@@ -432,6 +434,7 @@ def test_replicates_are_estimates_of_their_own(run):
     assert abs(np.corrcoef(means[:-1].T, means[1:].T)[:3, 3:]).max() < 5.0 / np.sqrt(REPLICATES)
 
 
+@pytest.mark.slow
 def test_largest_samples_replay_through_draw(run):
     sampler, estimate = run
     samples = mc.draw(
@@ -444,6 +447,7 @@ def test_largest_samples_replay_through_draw(run):
     assert high.max() < REPLICATES and low.max() < estimate.recipe["points"] and len(np.unique(high)) > 10
 
 
+@pytest.mark.slow
 @each_sampler
 def test_draws_by_index_are_those_by_number(sampler):
     first = mc.draw(smooth, dim=8, n=100, sampler=sampler, key=2)
@@ -491,6 +495,7 @@ def red(value):
     return value[..., 0]
 
 
+@pytest.mark.slow
 def test_images_agree_with_independent_samples_and_err_less():
     scene, camera = scenes.cornell_box(8, 8)
     render = partial(mc.render, scene, camera, bounces=2, tallies={"top": mc.TopSamples(5, of=red)})

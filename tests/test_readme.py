@@ -12,6 +12,9 @@ def test_examples_run():
     namespace = {}
     for block in blocks:
         exec(compile(block, str(README), "exec"), namespace)
+        namespace.setdefault("estimate_of_exp", namespace["estimate"])
+    assert namespace["even"].stderr < 0.02 * namespace["estimate_of_exp"].stderr
+    assert namespace["wanted"].status == "converged"
     assert abs(namespace["estimate"].mean - namespace["lamp"].exact) < 5 * namespace["estimate"].stderr
 
 
