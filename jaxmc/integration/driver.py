@@ -22,11 +22,12 @@ from .. import backend
 from . import stopping
 from .estimate import Estimate
 from .integrand import Integrand, as_integrand
-from .kernel import BLOCK, CHUNK, evaluate, item_jobs, lanes_for, stream_jobs
+from .kernel import BLOCK, CHUNK, LANES, ROWS, evaluate, item_jobs, lanes_for, stream_jobs
 from .moments import Moments, Replicates, pool
 from .samplers import Independent, index_words, seed_words
 
 REPLICATES = 16  # of a single integral
+SMALL, MOST_BLOCKS = 8, 16  # replicates of so few rows go together in one kernel call
 REPLICATES_EACH = 4  # of each of a family: few samples are better not divided further
 
 
@@ -63,7 +64,10 @@ def integrate(
     integrand = as_integrand(f, dim)
     target = stopping.target(n, rtol, atol, max_n, max_seconds)
     replicates = _replicates(replicates, sampler, REPLICATES)
-    run = Run(integrand, key, sampler, replicates, tallies, workers, blocks=_blocks(chunk))
+    blocks, rows = _blocks(chunk), ROWS
+    if n is not None and replicates and positive("n", n) // replicates < SMALL * LANES:
+        blocks, rows = max(blocks, min(replicates, MOST_BLOCKS)), SMALL
+    run = Run(integrand, key, sampler, replicates, tallies, workers, blocks, rows)
     if target is not None:
         with Progress(progress, None) as bar:
             return stopping.run_until(target, run, bar)
@@ -88,7 +92,7 @@ def integrate_each(
     replicates = _replicates(replicates, sampler, REPLICATES_EACH)
     lanes = lanes_for(items)
     blocks = min(_blocks(chunk), -(-items // lanes))
-    run = Run(f, key, sampler, replicates, tallies, workers, blocks, items, lanes)
+    run = Run(f, key, sampler, replicates, tallies, workers, blocks, ROWS, items, lanes)
     with Progress(progress, run.points(n) * (replicates or 1) * items) as bar:
         return run.family(n, bar)
 
@@ -119,7 +123,9 @@ class Run:
         seconds: wall time since the start, compilation included.
     """
 
-    def __init__(self, integrand, key, sampler, replicates, tallies, workers, blocks, items=None, lanes=None):
+    def __init__(
+        self, integrand, key, sampler, replicates, tallies, workers, blocks, rows=ROWS, items=None, lanes=None
+    ):  # fmt: skip
         backend.check_arithmetic()
         if "moments" in (tallies or {}):
             raise ValueError('the name "moments" is taken by the estimate itself; give your tally another name')
@@ -127,7 +133,8 @@ class Run:
         self.integrand, self.sampler, self.replicates = jax.tree.map(jnp.asarray, integrand), sampler, replicates
         self.key, self.seed = key, jnp.asarray(seed_words(key))
         self.tallies = {"moments": Moments(order=2 if items else 4), **(tallies or {})}
-        self.workers, self.blocks, self.items, self.lanes = workers or backend.workers(), blocks, items, lanes
+        self.workers, self.blocks, self.rows = workers or backend.workers(), blocks, rows
+        self.items, self.lanes = items, lanes
         self.states: dict[str, Any] = {}
         self.used, self.n = 0, 0
 
@@ -148,7 +155,7 @@ class Run:
             ranges = [(0, self.n, points)]
         else:
             ranges = self._fresh(points)
-        complete = self._add(stream_jobs(ranges, self.blocks), points, bar, deadline)
+        complete = self._add(stream_jobs(ranges, self.blocks, self.rows), points, bar, deadline)
         return self._estimate(points) if complete or self.replicates is None else None
 
     def family(self, n, bar) -> Estimate:
@@ -180,15 +187,19 @@ class Run:
             blocks = np.count_nonzero(job.rows.any(axis=1))
             # Threads do not inherit the precision that a ``with`` block has set.
             with jax.enable_x64(x64):
-                return job, jax.tree.map(lambda x: np.asarray(x)[:blocks], call(job)[0])
+                records, example = call(job)
+                return job, jax.tree.map(lambda x: np.asarray(x)[:blocks], records), example
 
-        # Compile once, on a job that wants no samples.
-        first = next(jobs)
-        if not self.states:
-            nothing, self.example = call(first._replace(rows=np.zeros_like(first.rows)))
-            self.states = {name: self._init(name, tally, nothing[name]) for name, tally in self.tallies.items()}
-            self.spread = Replicates(self.states["moments"]) if self.items and self.replicates else None
-        for job, records in ordered_map(records_of, itertools.chain([first], jobs), self.workers):
+        first, second = next(jobs), next(jobs, None)
+        if second is None:
+            results = map(records_of, [first])  # no threads for a single call
+        else:
+            # Compile once, on a job that wants no samples.
+            if not self.states:
+                self._begin(*call(first._replace(rows=np.zeros_like(first.rows))))
+            results = ordered_map(records_of, itertools.chain([first, second], jobs), self.workers)
+        for job, records, example in results:
+            self._begin(records, example)
             for name, tally in self.tallies.items():
                 self._fold(name, tally, records[name], job)
             self.n += job.samples // (self.items or 1)
@@ -196,6 +207,14 @@ class Run:
             if time.perf_counter() > deadline:
                 return False
         return True
+
+    def _begin(self, records, example):
+        """Make empty states for records of this structure, unless there are some."""
+        if self.states:
+            return
+        self.example = example
+        self.states = {name: self._init(name, tally, records[name]) for name, tally in self.tallies.items()}
+        self.spread = Replicates(self.states["moments"]) if self.items and self.replicates else None
 
     def _init(self, name, tally, record):
         if self.items or not self.replicates or name != "moments":

@@ -26,7 +26,7 @@ CHUNK = 1 << 18  # samples to a kernel call: long against the cost of a call, sh
 class Job(NamedTuple):
     """One kernel call: the sample in row r, lane l of block b has index ``base[b, r] + offset[b, l] * stride``."""
 
-    base: np.ndarray  # (blocks, ROWS) uint64
+    base: np.ndarray  # (blocks, rows) uint64
     offset: np.ndarray  # (blocks, lanes) uint32
     rows: np.ndarray  # (blocks, lanes) int32: how many rows of this lane are wanted
     replicate: np.ndarray  # (blocks,): which randomisation the samples belong to
@@ -38,23 +38,23 @@ class Job(NamedTuple):
         return int(self.rows.sum())
 
     def index(self, position):
-        """Return the sample indices of flat positions in an array of shape (blocks, ROWS, lanes)."""
-        blocks, lanes = self.offset.shape
-        block, row, lane = np.unravel_index(position, (blocks, ROWS, lanes))
+        """Return the sample indices of flat positions in an array of shape (blocks, rows, lanes)."""
+        block, row, lane = np.unravel_index(position, (*self.base.shape, self.offset.shape[1]))
         return self.base[block, row] + self.offset[block, lane].astype(np.uint64) * np.uint64(self.stride)
 
 
-def stream_jobs(ranges, blocks) -> Iterator[Job]:
+def stream_jobs(ranges, blocks, rows=ROWS) -> Iterator[Job]:
     """Yield jobs for the samples ``start <= index < stop`` of each ``(replicate, start, stop)`` in ``ranges``."""
-    pieces = ((r, first, stop) for r, start, stop in ranges for first in range(start, stop, BLOCK))
-    lanes, rows = np.arange(LANES), np.arange(0, BLOCK, LANES, dtype=np.uint64)
+    block = rows * LANES
+    pieces = ((r, first, stop) for r, start, stop in ranges for first in range(start, stop, block))
+    lanes, steps = np.arange(LANES), np.arange(0, block, LANES, dtype=np.uint64)
     while piece := _take(pieces, blocks):
         replicate, first, stop = (np.array(column, np.uint64) for column in zip(*piece, strict=True))
         left = (stop - first).astype(np.int64)
         wanted = np.zeros((blocks, LANES), np.int32)
-        wanted[: len(piece)] = np.clip(-(-(left[:, None] - lanes) // LANES), 0, ROWS)
-        base = np.zeros((blocks, ROWS), np.uint64)
-        base[: len(piece)] = ((replicate << np.uint64(32)) + first)[:, None] + rows
+        wanted[: len(piece)] = np.clip(-(-(left[:, None] - lanes) // LANES), 0, rows)
+        base = np.zeros((blocks, rows), np.uint64)
+        base[: len(piece)] = ((replicate << np.uint64(32)) + first)[:, None] + steps
         offset = np.broadcast_to(lanes.astype(np.uint32), (blocks, LANES))
         yield Job(base, offset, wanted, replicate.astype(int), slice(None))
 
@@ -131,7 +131,7 @@ def _values_of_row(integrand, point, index, word_axes, items):
 def evaluate(integrand, tables, seed, base, offset, rows, *, sampler, tallies, each):
     """Return the records of every tally for each block (leading axis) and a value, for its structure.
 
-    ``base`` has shape (blocks, ROWS, 2): the two words of an index.
+    ``base`` has shape (blocks, rows, 2): the two words of an index.
     """
     shape = value_shape(integrand, sampler, tables, each)
     axes = (0,) if each else (0, 1)
@@ -147,7 +147,7 @@ def evaluate(integrand, tables, seed, base, offset, rows, *, sampler, tallies, e
             value = _values_of_row(integrand, partial(_point, sampler, tables, seed), index, word_axes, items)
             return jax.tree.map(lambda all_rows, x: all_rows.at[r].set(x), values, value)
 
-        valid = jnp.arange(ROWS)[:, None] < rows
+        valid = jnp.arange(len(base))[:, None] < rows
         empty = jax.tree.map(lambda x: jnp.zeros((*valid.shape, *x.shape), x.dtype), shape)
         values = lax.fori_loop(0, rows.max(), evaluate_row, empty)
         return {name: tally.reduce(values, valid, axes) for name, tally in tallies}
