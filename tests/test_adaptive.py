@@ -195,6 +195,7 @@ class EvenFirst(mc.Independent):
 EVEN, INDEPENDENT = EvenFirst(), mc.Independent()
 
 
+@pytest.mark.slow
 def test_even_first_coordinates_share_samples_out():
     f = mc.Integrand(ridge, 2, (0.02,))
     g = f.through(adapt(f))

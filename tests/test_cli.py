@@ -43,6 +43,7 @@ def test_largest_samples_go_over_the_mirror(small_mirror_box):
     assert all("mirror" in row[3] for row in table["rows"][:3])
 
 
+@pytest.mark.slow
 def test_sparkles_moments_stand_beside_the_exact_ones(tmp_path):
     settings = sparkles.Settings(paths=1 << 16, spp=2, progress=False)
     sparkles.run(tmp_path, settings)

@@ -356,6 +356,7 @@ def test_coordinates_beyond_the_tables_are_independent(name):
     assert np.abs(np.histogram(u[:4096, 1], 64, (0.0, 1.0))[0] - 64).max() <= (0 if name == "Sobol" else 80)
 
 
+@pytest.mark.slow
 @each_sampler
 def test_a_dimension_may_be_a_number_traced_or_an_array(sampler):
     dims = (0, 1, 5, 700, 1500, 2047, 2048, 3000)
@@ -460,6 +461,7 @@ def test_draws_by_index_are_those_by_number(sampler):
             mc.draw(smooth, dim=8, indices=[7, 99], sampler=sampler, key=2)
 
 
+@pytest.mark.slow
 def test_replicate_means_are_means_of_draws(run):
     sampler, estimate = run
     each = estimate.recipe["points"]

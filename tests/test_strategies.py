@@ -137,12 +137,14 @@ def test_light_from_a_disk():
     check(one_sample_mixture(from_disk, [BY_COSINE, BY_DISK], (0.5, 0.5)), DISK)
 
 
+@pytest.mark.slow
 def test_the_driver_takes_them_all():
     fs = [make(peak_and_slope, LINE) for make in [*MULTI.values(), one_sample]]
     fs.append(control_variates(fs[0], lambda u: u[2], 0.5).integrand)
     assert_unbiased(mc.integrate(lambda u: jnp.stack([f(u[: f.dim]) for f in fs]), dim=3, n=N), [EXACT] * 5, 2e-3)
 
 
+@pytest.mark.slow
 def test_values_may_be_arrays():
     def g(x):
         return jnp.outer(jnp.array([1.0, 2.0]), jnp.stack([peak_and_slope(x), 1.0 + x[0], 1.0]))

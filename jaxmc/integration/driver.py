@@ -4,19 +4,14 @@ Kernel calls run on as many threads as there are cores, and XLA keeps each call 
 the order of the blocks: a result is the same, bit for bit, for any chunk size and any number of workers.
 """
 
-import functools
 import itertools
 import time
-from collections import deque
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
 from operator import itemgetter
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tqdm import tqdm
 
 from .. import backend
 from . import stopping
@@ -25,6 +20,7 @@ from .integrand import Integrand, as_integrand
 from .kernel import BLOCK, CHUNK, LANES, ROWS, evaluate, item_jobs, lanes_for, stream_jobs
 from .moments import Moments, Replicates, pool
 from .samplers import Independent, index_words, seed_words
+from .work import Progress, ordered_map
 
 REPLICATES = 16  # of a single integral
 SMALL, MOST_BLOCKS = 8, 16  # replicates of so few rows go together in one kernel call
@@ -258,50 +254,3 @@ class Run:
             recipe |= {"replicates": self.replicates, "points": points}
         structure = jax.tree.structure(self.example)
         return Estimate(moments, self.n, results, self.seconds, recipe, structure, between, means)
-
-
-@functools.cache
-def _pool(workers):
-    return ThreadPoolExecutor(workers)
-
-
-def ordered_map(function, jobs, workers) -> Iterator:
-    """Yield ``function(job)`` in the order of the jobs, with ``workers`` threads and a bounded queue."""
-    pool, pending = _pool(workers), deque()
-    try:
-        for job in jobs:
-            pending.append(pool.submit(function, job))
-            if len(pending) > 2 * workers:
-                yield pending.popleft().result()
-        while pending:
-            yield pending.popleft().result()
-    finally:
-        # Leave nothing running behind: whoever stops early may change what the jobs use.
-        for future in pending:
-            future.cancel()
-        wait(pending)
-
-
-class Progress:
-    """A progress bar with rate and time left, a callback, or nothing."""
-
-    def __init__(self, progress, total):
-        self.done, self.total = 0, total
-        self.callback = progress if callable(progress) else None
-        title = progress if isinstance(progress, str) else None
-        shown = progress is not None and progress is not False and self.callback is None
-        self.bar = tqdm(total=total, desc=title, unit=" samples", unit_scale=True) if shown else None
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        if self.bar is not None:
-            self.bar.close()
-
-    def update(self, samples):
-        self.done += samples
-        if self.bar is not None:
-            self.bar.update(samples)
-        if self.callback is not None:
-            self.callback(self.done, self.total)
