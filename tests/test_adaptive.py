@@ -37,6 +37,7 @@ IDS = ["5D", "strata 1D", "strata 3D", "strata in 2 of 9"]
 # The change of variables.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", MAPS, ids=IDS)
 def test_the_jacobian_is_the_determinant_of_the_derivative(shape):
     importance_map = random_map(*shape)
@@ -268,6 +269,7 @@ def test_nothing_to_learn_leaves_the_map_even():
 # As an integrand.
 
 
+@pytest.mark.slow
 def test_gradients_flow_through_parameters(learnt):
     points = mc.draw(GAUSS, n=2**16, key=3).u
 

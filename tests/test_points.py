@@ -114,6 +114,7 @@ def test_scrambled_sobol_points_are_nets(m, first):
     assert uneven_shapes(mc.Sobol(), m, first) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dims", [(2, 5), (10, 31), (0, 1, 2), (3, 4, 5, 6), (700, 2047)], ids=str)
 @pytest.mark.parametrize("m", [6, 8])
 def test_scrambling_keeps_how_many_points_share_a_box(m, dims):
@@ -258,6 +259,7 @@ def test_sobol_scrambling_is_nested_and_uniform():
 # Strata.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 7, 64, 1000, 100_000])
 def test_latin_hypercubes_meet_each_interval_once(n):
     u = points(mc.LatinHypercube(), np.arange(n), (0, 1, 2, 9, 1000), (0, 1, 2**31), n).reshape(-1, n, 5)
@@ -270,6 +272,7 @@ def grid_of(n):
     return across, -(-n // across)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlated", [True, False])
 @pytest.mark.parametrize("n", [1, 7, 56, 1000, 100_000])
 def test_stratified_points_share_no_cell(n, correlated):

@@ -118,6 +118,7 @@ def each_of_multi(g, techniques, counts=None):
 # ---------------------------------------------------------------------------------------- mixtures: the integral
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("d", [1, 2, 3])
 def test_a_mixture_has_the_same_integral(d):
     f = each_of_multi(peak_and_slope, techniques_in(d), COUNTS)

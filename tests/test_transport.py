@@ -347,7 +347,7 @@ def check_agreement(name, strategies, n, rel_precision):
 @pytest.mark.parametrize(
     ("name", "strategies", "rel_precision"),
     [
-        ("gallery", [STRATEGIES[0], STRATEGIES[3]], 2.5e-3),
+        pytest.param("gallery", [STRATEGIES[0], STRATEGIES[3]], 2.5e-3, marks=pytest.mark.slow),
         ("cornell", [STRATEGIES[0], STRATEGIES[5]], 8e-3),
         ("mirror box", [STRATEGIES[0], STRATEGIES[4]], 3e-2),
     ],
