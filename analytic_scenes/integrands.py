@@ -92,10 +92,10 @@ def simplex(dim: int = 8, s: float | None = None) -> AnalyticScene:
 
 def irwin_hall(dim: int, s: float) -> tuple[float, float]:
     """Return P(S < s) and the density at ``s`` > 0 of the sum S of ``dim`` uniform variables, to the last digit."""
-    s = Fraction(s)
+    exactly = Fraction(s)
 
     def truncated(power):
-        terms = ((-1) ** k * math.comb(dim, k) * (s - k) ** power for k in range(min(math.ceil(s), dim + 1)))
+        terms = ((-1) ** k * math.comb(dim, k) * (exactly - k) ** power for k in range(min(math.ceil(s), dim + 1)))
         return float(sum(terms) / math.factorial(power))
 
     return truncated(dim), truncated(dim - 1)

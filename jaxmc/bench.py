@@ -66,7 +66,7 @@ def _quadax(integrand, n, seed):
 
 @partial(jax.jit, static_argnums=1)
 def _cubature(integrand, regions):
-    import quadax
+    import quadax  # pyright: ignore[reportMissingImports]
 
     box = np.array([[0.0, 1.0]] * integrand.dim, np.float32)
     return quadax.cubegm(integrand, box, epsabs=0.0, epsrel=0.0, max_nregion=regions)[0]
@@ -79,7 +79,7 @@ def problem(name, dim=None):
     Raises ``ValueError`` where there is none.
     """
     offered = {point.name: point.value for point in metadata.entry_points(group=GROUP)}
-    module, _, function = offered.get(name, name).partition(":")
+    module, _, function = str(offered.get(name, name)).partition(":")
     try:
         make = getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:

@@ -74,8 +74,8 @@ def _vegas(batch, dim, n, seed):
 
 
 def _torchquad(batch, dim, n, seed):
-    import loguru
-    import torchquad
+    import loguru  # pyright: ignore[reportMissingImports]
+    import torchquad  # pyright: ignore[reportMissingImports]
 
     loguru.logger.disable("torchquad")  # it reports each iteration
     box = np.array([[0.0, 1.0]] * dim)

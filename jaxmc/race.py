@@ -92,8 +92,9 @@ def race(methods, exact, *, ladder=LADDER, seeds=SEEDS, seconds_each=10.0, enoug
     for rung, n in enumerate(ladder):
         growth = n / ladder[rung - 1] if rung else 1.0
         active = [m for m in active if _goes_on(curves[m.name], spent[m.name], growth, seeds, seconds_each, enough)]
-        firsts = {m.name: _first(m, n, curves[m.name]) for m in active}
-        active = [m for m in active if firsts[m.name] is not None]
+        tried = {m.name: _first(m, n, curves[m.name]) for m in active}
+        firsts = {name: run for name, run in tried.items() if run is not None}
+        active = [m for m in active if m.name in firsts]
         if not active:
             break
         runs = {m.name: [] for m in active}

@@ -84,7 +84,8 @@ def _check(edges, cells):
     """Raise ``ValueError`` where these are not the arrays of a map, in the floating type of this session."""
     if edges is None or any(x.dtype.kind != "f" for x in (edges, cells) if x is not None):
         raise ValueError("edges are missing or not floating-point numbers")
-    edges, cells = (None if x is None else np.asarray(x, jnp.result_type(float)) for x in (edges, cells))
+    kind = jnp.result_type(float)
+    edges, cells = np.asarray(edges, kind), None if cells is None else np.asarray(cells, kind)
     if edges.ndim != 2 or 0 in edges.shape or (edges[:, 0] != 0.0).any() or (edges[:, -1] != 1.0).any():
         raise ValueError(f"edges, of shape {edges.shape}, do not run from 0 to 1")
     if not (np.diff(edges) > 0.0).all():
