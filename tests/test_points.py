@@ -568,7 +568,7 @@ class Multiplied(MutantSobol):
 
     class Point(nets._SobolPoint):
         def bits(self, dimension):
-            plain = nets._SobolPoint(mc.Sobol(scramble=False), jnp.zeros(4, jnp.uint32), self.index, self.matrices)
+            plain = nets._SobolPoint(mc.Sobol(scramble=False), jnp.zeros(4, jnp.uint32), self.index, self.table)
             return (plain.bits(dimension) + self.key.bits(dimension)) * jnp.uint32(GOLDEN)
 
         def __init__(self, sampler, seed, index, matrices):
@@ -581,7 +581,7 @@ class Shifted(MutantSobol):
 
     class Point(Multiplied.Point):
         def bits(self, dimension):
-            plain = nets._SobolPoint(mc.Sobol(scramble=False), jnp.zeros(4, jnp.uint32), self.index, self.matrices)
+            plain = nets._SobolPoint(mc.Sobol(scramble=False), jnp.zeros(4, jnp.uint32), self.index, self.table)
             return plain.bits(dimension) ^ self.key.bits(dimension)
 
 
@@ -613,25 +613,25 @@ class Unpermuted(mc.LatinHypercube):
     """Point i lies in interval i of every coordinate."""
 
     def point(self, seed, index, n):
-        return _Diagonal(seed, index, n)
+        return _Diagonal(self, seed, index, n)
 
 
 class _Diagonal(stratified._LatinPoint):
     def __getitem__(self, dimension):
-        return stratified._inside(self.number, self.own[dimension], self.n)
+        return stratified._inside(self.number, self.own[dimension], self.table)
 
 
 class SamePermutation(mc.LatinHypercube):
     """All coordinates are permuted alike."""
 
     def point(self, seed, index, n):
-        return _Alike(seed, index, n)
+        return _Alike(self, seed, index, n)
 
 
 class _Alike(stratified._LatinPoint):
     def __getitem__(self, dimension):
-        stratum = stratified.permute(self.number, self.n, self.key.bits(0))
-        return stratified._inside(stratum, self.own[dimension], self.n)
+        stratum = stratified.permute(self.number, self.table, self.key.bits(0))
+        return stratified._inside(stratum, self.own[dimension], self.table)
 
 
 MUTANTS = [

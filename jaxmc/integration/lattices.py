@@ -2,11 +2,10 @@
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 
-from .nets import beyond, power_of_two, reverse_bits
-from .samplers import Independent, Index, as_word, fraction, randomisation
+from .nets import power_of_two, reverse_bits
+from .samplers import EvenPoint, Index, as_word, fraction
 from .tables import MOST_LATTICE, lattice_vector
 
 
@@ -39,23 +38,23 @@ class Lattice:
         return _LatticePoint(self, seed, index, vector)
 
 
-class _LatticePoint:
-    def __init__(self, sampler, seed, index, vector):
-        self.sampler, self.vector, self.mirrored = sampler, vector, reverse_bits(index.low)
-        self.key, self.own = randomisation(seed, index), Independent().point(seed, index)
+class _LatticePoint(EvenPoint):
+    def __init__(self, *args):
+        super().__init__(*args)
+        self.mirrored = reverse_bits(self.number)
 
     def __getitem__(self, dimension):
         """Return coordinate ``dimension``, an integer, a traced integer or an array of them."""
         dimension = as_word(dimension)
-        low = self.key.bits(dimension | jnp.uint32(1 << 31)) if jax.config.jax_enable_x64 else None
+        bits = self.bits(dimension)
         if not self.sampler.shift:
-            return fraction(self.bits(dimension))
-        return fraction(beyond(self, dimension, len(self.vector)), low)
+            return fraction(bits, jnp.uint32(0))
+        # The further digits are those of the shift, which all points share.
+        return fraction(self.known(dimension, bits, self.own.bits(dimension)), self.key.further_bits(dimension))
 
     def bits(self, dimension):
         """Return the 32 leading binary digits of a coordinate."""
-        z = jnp.asarray(self.vector)[jnp.minimum(dimension, len(self.vector) - 1)]
-        x = self.mirrored * z
+        x = self.mirrored * self.row(dimension)
         if self.sampler.shift:
             x = x + self.key.bits(dimension)
         # Fold the upper half back: its complement, and either way twice the value.

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .samplers import GOLDEN, Independent, Index, as_word, divide, fraction, mix, randomisation
+from .samplers import GOLDEN, EvenPoint, Index, as_word, divide, fraction, mix
 from .tables import MOST_SOBOL, primes, sobol_matrices
 
 MOST_HALTON = 1024
@@ -41,34 +41,24 @@ class Sobol:
         return _SobolPoint(self, seed, index, matrices)
 
 
-class _SobolPoint:
-    def __init__(self, sampler, seed, index, matrices):
-        self.sampler, self.number, self.matrices = sampler, index.low, matrices
-        self.key, self.own = randomisation(seed, index), Independent().point(seed, index)
-
+class _SobolPoint(EvenPoint):
     def __getitem__(self, dimension):
         """Return coordinate ``dimension``, an integer, a traced integer or an array of them."""
         dimension = as_word(dimension)
-        low = self.own.bits(dimension | jnp.uint32(1 << 31)) if jax.config.jax_enable_x64 else None
+        bits = self.bits(dimension)
         if not self.sampler.scramble:
-            return fraction(self.bits(dimension))
-        return fraction(beyond(self, dimension, len(self.matrices)), low)
+            return fraction(bits, jnp.uint32(0))
+        return fraction(self.known(dimension, bits, self.own.bits(dimension)), self.own.further_bits(dimension))
 
     def bits(self, dimension):
         """Return the 32 leading binary digits of a coordinate."""
-        rows = jnp.asarray(self.matrices)[jnp.minimum(dimension, len(self.matrices) - 1)]
-        digits = jnp.uint32(0)
+        row, digits = self.row(dimension), jnp.uint32(0)
         for j in range(32):
             chosen = jnp.uint32(0) - ((self.number >> j) & 1)
-            digits = digits ^ (rows[..., j] & chosen)
+            digits = digits ^ (row[..., j] & chosen)
         if self.sampler.scramble:
             digits = _permute_nested(digits, self.key.bits(dimension))
         return reverse_bits(digits)
-
-
-def beyond(point, dimension, known):
-    """Return the digits of a coordinate, independent random ones where no table knows the dimension."""
-    return jnp.where(dimension < known, point.bits(dimension), point.own.bits(dimension))
 
 
 def _permute_nested(x, seed):
@@ -117,18 +107,12 @@ class Halton:
         return _HaltonPoint(self, seed, index, bases)
 
 
-class _HaltonPoint:
-    def __init__(self, sampler, seed, index, bases):
-        self.sampler, self.number, self.bases = sampler, index.low, bases
-        self.key, self.own = randomisation(seed, index), Independent().point(seed, index)
-
+class _HaltonPoint(EvenPoint):
     def __getitem__(self, dimension):
         """Return coordinate ``dimension``, an integer, a traced integer or an array of them."""
         dimension = as_word(dimension)
-        known = len(self.bases)
-        base = jnp.asarray(self.bases)[jnp.minimum(dimension, known - 1)]
-        inside = self._radical_inverse(base, self.key.bits(dimension), self.own[dimension])
-        return jnp.where(dimension < known, inside, self.own[dimension]) if self.sampler.scramble else inside
+        inside = self._radical_inverse(self.row(dimension), self.key.bits(dimension), self.own[dimension])
+        return self.known(dimension, inside, self.own[dimension]) if self.sampler.scramble else inside
 
     def _radical_inverse(self, base, key, rest):
         """Mirror the digits of the number at the radix point, from the first digit on."""

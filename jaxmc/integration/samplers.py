@@ -96,20 +96,43 @@ class Point:
     def __getitem__(self, dimension):
         """Return coordinate ``dimension``, an integer, a traced integer or an array of them."""
         bits = self.bits(dimension)
-        if jax.config.jax_enable_x64:
-            # Take the low bits from a dimension that nobody can name: the top bit is set.
-            low = self.bits(jnp.asarray(dimension).astype(jnp.uint32) | jnp.uint32(1 << 31)) >> 12
-            return (bits.astype(jnp.float64) * 2.0**20 + low.astype(jnp.float64) + 0.5) * 2.0**-52
+        low = self.further_bits(dimension)
+        if low is not None:
+            return fraction(bits, low)
         u = bits.astype(jnp.float32) * 2.0**-32 + 2.0**-33
         return jnp.where(u < 1.0, u, 1.0 - 2.0**-24)
 
     def bits(self, dimension):
         """Return 32 random bits."""
-        x = self.first + jnp.uint32(GOLDEN) * jnp.asarray(dimension).astype(jnp.uint32)
+        x = self.first + jnp.uint32(GOLDEN) * as_word(dimension)
         x = (x ^ (x >> 16)) * jnp.uint32(0x7FEB352D)
         x = x ^ self.second
         x = (x ^ (x >> 15)) * jnp.uint32(0x846CA68B)
         return x ^ (x >> 16)
+
+    def further_bits(self, dimension):
+        """Return 32 more random bits for float64, those of a dimension that nobody can name, with the top bit set; None
+        in float32, which has no room for them."""
+        return self.bits(as_word(dimension) | jnp.uint32(1 << 31)) if jax.config.jax_enable_x64 else None
+
+
+class EvenPoint:
+    """One of the points that fill the cube evenly together: its ``number`` among them, the random words ``key`` that
+    all share, and its ``own`` independent point. Coordinates beyond the ``table`` of the sampler are taken from that.
+    """
+
+    def __init__(self, sampler, seed, index: Index, table=None):
+        self.sampler, self.number, self.table = sampler, index.low, table
+        self.key = Independent().point(seed ^ jnp.uint32(GOLDEN), Index(index.high, jnp.zeros_like(index.high)))
+        self.own = Independent().point(seed, index)
+
+    def row(self, dimension):
+        """Return what the table holds for a dimension; beyond it, its last row."""
+        return jnp.asarray(self.table)[jnp.minimum(dimension, len(self.table) - 1)]
+
+    def known(self, dimension, inside, beyond):
+        """Return ``inside`` where the table holds the dimension, else ``beyond``."""
+        return jnp.where(dimension < len(self.table), inside, beyond)
 
 
 def mix(x):
@@ -127,14 +150,14 @@ def as_word(dimension):
     return jnp.asarray(dimension).astype(jnp.uint32)
 
 
-def fraction(bits, low=None):
+def fraction(bits, low):
     """Return the number in (0, 1) with the binary digits ``bits`` behind the point, cut to what the type can hold.
 
     Cut and not rounded: a point never leaves its cell of a stratification, not even by an error of the last place.
-    ``low`` holds further random digits for float64.
+    ``low`` holds further digits, for float64.
     """
     if jax.config.jax_enable_x64:
-        low = jnp.uint32(0) if low is None else low >> 12
+        low = low >> 12
         return (bits.astype(jnp.float64) * 2.0**20 + low.astype(jnp.float64) + 0.5) * 2.0**-52
     # Clear what lies behind 24 leading digits: as many as the top byte is long.
     excess = bits >> 24
@@ -142,11 +165,6 @@ def fraction(bits, low=None):
     excess = excess | (excess >> 2)
     excess = excess | (excess >> 4)
     return jnp.maximum((bits & ~excess).astype(jnp.float32) * 2.0**-32, 2.0**-33)
-
-
-def randomisation(seed, index: Index) -> Point:
-    """Return the random words that all points of one randomisation share: word k is ``.bits(k)``."""
-    return Independent().point(seed ^ jnp.uint32(GOLDEN), Index(index.high, jnp.zeros_like(index.high)))
 
 
 def divide(number, base, inverse):
