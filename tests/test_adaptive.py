@@ -95,11 +95,13 @@ def one_and_peak(u):
 
 def check_integrals(change, shape):
     """Integrate 1, and a peak that is not symmetric, through a map of class ``change``."""
+    integrand = one_and_peak_through(change, shape)
+    assert_unbiased(mc.integrate(integrand, n=2**18), [1.0, peak_integral(shape[0], 0.3, 0.3)], 0.05)
+
+
+def one_and_peak_through(change, shape=(3, 10, (2, 3, 4))):
     importance_map = random_map(*shape)
-    importance_map = change(importance_map.edges, importance_map.cells)
-    dim = shape[0]
-    one = mc.Integrand(one_and_peak, dim).through(importance_map)
-    assert_unbiased(mc.integrate(one, n=2**18), [1.0, peak_integral(dim, 0.3, 0.3)], 0.05)
+    return mc.Integrand(one_and_peak, shape[0]).through(change(importance_map.edges, importance_map.cells))
 
 
 @pytest.mark.parametrize("shape", MAPS, ids=IDS)
@@ -111,6 +113,12 @@ def test_the_map_keeps_integrals(shape):
 def test_wrong_maps_are_seen(mutant):
     with pytest.raises(AssertionError, match="standard errors off"):
         check_integrals(mutant, (3, 10, (2, 3, 4)))
+
+
+def test_changes_of_variables_of_two_classes_never_share_a_kernel():
+    integrands = [one_and_peak_through(change) for change in (ImportanceMap, *MUTANTS)]
+    structures = [jax.tree.structure(f) for f in integrands]
+    assert all((a == b) == (i == j) for i, a in enumerate(structures) for j, b in enumerate(structures))
 
 
 @pytest.mark.parametrize("shape", [(2, 513, None), (2, 513, (255, 257)), (1, 3, (65536,))])

@@ -68,7 +68,9 @@ class Integrand:
             raise ValueError(f"through wants a change of variables u -> (x, jacobian), got {change!r}")
         if getattr(change, "dim", self.dim) != self.dim:
             raise ValueError(f"the change of variables has dim={change.dim}, the integrand {self.dim}; adapt another")
-        return Integrand(_Through(self.fn, len(self.params)), self.dim, (*self.params, change), labels=self.labels)
+        return Integrand(
+            _Through(self.fn, len(self.params), type(change)), self.dim, (*self.params, change), labels=self.labels
+        )
 
     def batch(self, u):
         """Return the values at an array of points of shape ``(n, dim)``: leading axis n on every leaf.
@@ -98,6 +100,9 @@ class _Through:
 
     fn: Callable[..., Any]
     count: int  # of parameters of fn
+    # JAX takes two dataclasses with the same fields for one where their hashes happen to meet, and would then run the
+    # kernel of the other: keep them apart by their class.
+    kind: type
 
     def __call__(self, u, *args):
         x, jacobian = args[self.count](u)

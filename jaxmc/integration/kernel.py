@@ -89,18 +89,11 @@ def lanes_for(items):
     return -(-evenly // VECTOR) * VECTOR
 
 
-def point_value(integrand, sampler, tables, seed, index, *item):
-    return integrand.at(sampler.point(seed, index, *tables), *item)
-
-
-def value_shape(integrand, sampler, tables, each):
+def value_shape(integrand, point, each):
+    """Return shape and dtype of every leaf of a value; ``point`` makes one from an index."""
     word = jax.ShapeDtypeStruct((), jnp.uint32)
-    seed = jax.ShapeDtypeStruct((4,), jnp.uint32)
     item = (word,) if each else ()
-    return jax.eval_shape(
-        lambda f, t, seed, index, *item: point_value(f, sampler, t, seed, index, *item),
-        integrand, tables, seed, Index(word, word), *item,
-    )  # fmt: skip
+    return jax.eval_shape(lambda index, *item: integrand.at(point(index), *item), Index(word, word), *item)
 
 
 def _indices_of_row(base, offset, independent, each):
@@ -111,10 +104,6 @@ def _indices_of_row(base, offset, independent, each):
         return Index(high, low) + offset, Index(0, 0)
     # Keep the word that all lanes share a single number: what depends on it alone is then computed once.
     return (Index(high + offset, low), Index(0, None)) if each else (Index(high, low + offset), Index(None, 0))
-
-
-def _point(sampler, tables, seed, index):
-    return sampler.point(seed, index, *tables)
 
 
 def _values_of_row(integrand, point, index, word_axes, items):
@@ -133,23 +122,29 @@ def evaluate(integrand, tables, seed, base, offset, rows, *, sampler, tallies, e
 
     ``base`` has shape (blocks, rows, 2): the two words of an index.
     """
-    shape = value_shape(integrand, sampler, tables, each)
     axes = (0,) if each else (0, 1)
 
+    def point(index):
+        return sampler.point(seed, index, *tables)
+
+    shape = value_shape(integrand, point, each)
+
     def block(args):
-        empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(records, *args))
+        empty = _zeros(jax.eval_shape(records, *args))
         return lax.cond(args[2].max() > 0, records, lambda *_: empty, *args)
 
     def records(base, offset, rows):
         def evaluate_row(r, values):
             index, word_axes = _indices_of_row(base[r], offset, sampler.independent, each)
-            items = (offset,) if each else ()
-            value = _values_of_row(integrand, partial(_point, sampler, tables, seed), index, word_axes, items)
+            value = _values_of_row(integrand, point, index, word_axes, (offset,) if each else ())
             return jax.tree.map(lambda all_rows, x: all_rows.at[r].set(x), values, value)
 
         valid = jnp.arange(len(base))[:, None] < rows
-        empty = jax.tree.map(lambda x: jnp.zeros((*valid.shape, *x.shape), x.dtype), shape)
-        values = lax.fori_loop(0, rows.max(), evaluate_row, empty)
+        values = lax.fori_loop(0, rows.max(), evaluate_row, _zeros(shape, valid.shape))
         return {name: tally.reduce(values, valid, axes) for name, tally in tallies}
 
-    return lax.map(block, (base, offset, rows)), jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
+    return lax.map(block, (base, offset, rows)), _zeros(shape)
+
+
+def _zeros(shapes, leading=()):
+    return jax.tree.map(lambda x: jnp.zeros((*leading, *x.shape), x.dtype), shapes)

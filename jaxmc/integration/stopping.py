@@ -74,7 +74,7 @@ def run_until(target: Target, run, bar):
         n = next_n(target, looks, run.replicates is not None, deadline - time.perf_counter())
         if n <= grown.n:
             break
-    return dataclasses.replace(estimate, reached=target.excess(estimate) <= 1.0, seconds=run.seconds)
+    return dataclasses.replace(estimate, reached=looks[-1][1] <= 1.0, seconds=run.seconds)
 
 
 def next_n(target: Target, looks, replicates: bool, seconds_left: float) -> int:
