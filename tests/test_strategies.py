@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import jaxmc as mc
-from jaxmc.integration import controls, mixtures
-from jaxmc.integration.controls import control_variates, pilot_key
+from jaxmc.integration import mixtures, samplers
+from jaxmc.integration.controls import control_variates
 from jaxmc.integration.mixtures import mixture, one_sample_mixture, optimal_mixture
+from jaxmc.integration.samplers import pilot_key
 from jaxmc.integration.techniques import Space, Technique, space_of
 from jaxmc.testing import assert_unbiased
 from jaxmc.transport.vec import Vec3
@@ -484,7 +485,7 @@ def test_the_key_of_the_pilot_is_not_for_the_run(monkeypatch):
     f = optimal_mixture(peak_and_slope, LINE, n=8)
     own = estimate(f, n=8, key=pilot_key(0))
     assert own.mean == pytest.approx(float(f.params[0].sum()), rel=1e-4)
-    monkeypatch.setattr(controls, "PILOT", 1)
+    monkeypatch.setattr(samplers, "PILOT", 1)
     assert not np.array_equal(optimal_mixture(peak_and_slope, LINE, n=8).params[0], f.params[0])
 
 

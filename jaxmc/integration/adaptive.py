@@ -22,13 +22,12 @@ from jax import lax
 
 from .driver import positive
 from .integrand import as_integrand
-from .samplers import Independent, Index, index_words, seed_words
+from .samplers import Independent, Index, index_words, pilot_key, seed_words
 
 BETA = 0.75  # damping of the probabilities of cells (Lepage 2021)
 FLOOR = 0.1  # share of the points that cells get by their volume alone: no weight V / p exceeds 1 / FLOOR
 MOST_CELLS = 1 << 16  # float32 coordinates must resolve the least probable cell
 MEMORY = 0.7  # what earlier samples of a cell count, by iteration
-STREAM = np.uint32(0x5EED_ADA9)  # keeps the points of ``adapt`` apart from those of ``integrate`` with the same key
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["edges", "cells"], meta_fields=[])
@@ -164,7 +163,7 @@ def adapt(f, *, dim=None, n=20_000, iterations=10, bins=None, strata=True, alpha
     bins = 2 ** min(max(n // 128, 8).bit_length() - 1, 9) if bins is None else positive("bins", bins)
     if bins >= 1 << 16 or not 0.0 <= alpha <= 2.0:
         raise ValueError(f"bins must be below 2^16 and alpha from 0 to 2, got bins={bins}, alpha={alpha!r}")
-    f, seed = jax.tree.map(jnp.asarray, f), jnp.asarray(seed_words(key) ^ STREAM)
+    f, seed = jax.tree.map(jnp.asarray, f), jnp.asarray(seed_words(pilot_key(key)))
     edges, cells = np.tile(np.linspace(0.0, 1.0, bins + 1), (f.dim, 1)), None
     count, total, bad = np.zeros(math.prod(strata)), np.zeros(math.prod(strata)), 0
     for i in range(iterations):

@@ -14,9 +14,7 @@ import numpy as np
 
 from .draw import draw
 from .integrand import Integrand
-from .samplers import seed_words
-
-PILOT = 0x70696C6F  # keeps the samples of pilots apart from those of runs with the same key
+from .samplers import pilot_key
 
 
 class Controlled(NamedTuple):
@@ -112,11 +110,6 @@ def least_squares(x, y):
 
 def _epsilon():
     return float(jnp.finfo(jnp.result_type(float)).eps)  # of the samples
-
-
-def pilot_key(key) -> int:
-    """Return the seed of a pilot: 64 mixed bits, so none that a user would choose, nor ``key`` itself."""
-    return int(np.random.SeedSequence([*seed_words(key).tolist(), PILOT]).generate_state(1, np.uint64)[0])
 
 
 def coordinates(dim):

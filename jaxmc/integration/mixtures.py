@@ -19,9 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .controls import least_squares, pilot_key
+from .controls import least_squares
 from .draw import draw
 from .integrand import Integrand
+from .samplers import pilot_key
 from .techniques import Space, Technique, ratio, space_of
 
 

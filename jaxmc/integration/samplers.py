@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 GOLDEN = 0x9E3779B9  # 2^32 / golden ratio, odd: spreads consecutive dimensions over the words
+PILOT = 0x70696C6F  # keeps the samples of pilots apart from those of runs with the same key
 
 
 class Index(NamedTuple):
@@ -52,6 +53,11 @@ def seed_words(key) -> np.ndarray:
         raise ValueError(f"key must be an integer in [0, 2^64) or a jax.random key, got {key!r}")
     # Spread the seed over four words, so that neighbouring seeds share nothing.
     return np.random.SeedSequence(int(seed)).generate_state(4, np.uint32)
+
+
+def pilot_key(key) -> int:
+    """Return the seed of a pilot: 64 mixed bits, so none that a user would choose, nor ``key`` itself."""
+    return int(np.random.SeedSequence([*seed_words(key).tolist(), PILOT]).generate_state(1, np.uint64)[0])
 
 
 class Independent:
