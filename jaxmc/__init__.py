@@ -12,6 +12,7 @@ from . import analysis as analysis
 from .integration.adaptive import ImportanceMap as ImportanceMap
 from .integration.adaptive import adapt as adapt
 from .integration.combine import combine as combine
+from .integration.compiled import estimator as estimator
 from .integration.controls import control_variates as control_variates
 from .integration.draw import draw as draw
 from .integration.driver import integrate as integrate

@@ -5,14 +5,15 @@ import inspect
 import json
 import math
 from dataclasses import asdict
-from functools import partial
+from functools import cache, partial
 from importlib import metadata
 from pathlib import Path
 
 import jax
 import numpy as np
 
-from . import integrate, other_integrators, plot, report
+from . import estimator, integrate, other_integrators, plot, report
+from .integration.compiled import MOST
 from .integration.lattices import Lattice
 from .integration.nets import Halton, Sobol
 from .integration.samplers import Independent
@@ -20,7 +21,7 @@ from .integration.stratified import LatinHypercube, Stratified
 from .race import SEEDS, Curve, Method, race, timed
 
 SAMPLERS = (Independent(), Sobol(), Lattice(), Halton(), LatinHypercube(), Stratified())
-SINGLE = (Sobol(), Lattice())  # also as one randomisation, without an error bar: for those that have none either
+SINGLE = (Sobol(), Lattice())  # also compiled, with an error bar and without: other integrators have none either
 GROUP = "jaxmc.integrands"  # entry points: integrands of known value that an installed package offers by name
 FEW = 4  # dimensions in which adaptive cubature pays
 ROUNDING = 4 * float(np.finfo(np.float32).eps)  # below it there is nothing to see in float32
@@ -28,16 +29,24 @@ REGION = 100  # points to a region of quadax's rule, about
 
 
 def own_methods(integrand, samplers=SAMPLERS, single=SINGLE) -> list[Method]:
-    """Return ``integrate`` with each sampler: with its error bar, and for ``single`` also as one randomisation."""
+    """Return ``integrate`` with each sampler, and for ``single`` the compiled ``estimator``: with an error bar, and as
+    one randomisation."""
+    compiled = cache(lambda sampler, replicates, n: estimator(integrand, n=n, sampler=sampler, replicates=replicates))
 
-    def ours(sampler, replicates, n, seed):
+    def driven(sampler, replicates, n, seed):
         estimate = integrate(integrand, n=n, key=seed, sampler=sampler, replicates=replicates)
         return float(np.mean(estimate.mean)), estimate.n
 
+    def direct(sampler, replicates, n, seed):
+        if n > MOST:
+            return driven(sampler, replicates, n, seed)
+        return float(np.mean(compiled(sampler, replicates, n)(seed).mean)), n
+
     names = {sampler: type(sampler).__name__ for sampler in (*samplers, *single)}
     return [
-        *(timed(names[s], partial(ours, s, None), own=True) for s in samplers),
-        *(timed(f"{names[s]}, 1 replicate", partial(ours, s, 1), own=True, error_bar=False) for s in single),
+        *(timed(names[s], partial(driven, s, None), own=True) for s in samplers),
+        *(timed(f"{names[s]}, compiled", partial(direct, s, 16), own=True) for s in single),
+        *(timed(f"{names[s]}, 1 replicate", partial(direct, s, 1), own=True, error_bar=False) for s in single),
     ]
 
 

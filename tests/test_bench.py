@@ -63,7 +63,7 @@ def test_our_methods_and_others_integrate():
     scene = genz.gaussian_peak(2)
     methods = bench.own_methods(scene.integrand, (mc.Independent(), mc.Sobol()), (mc.Lattice(),))
     names = {m.name: m.error_bar for m in methods}
-    assert names == {"Independent": True, "Sobol": True, "Lattice, 1 replicate": False}
+    assert names == {"Independent": True, "Sobol": True, "Lattice, compiled": True, "Lattice, 1 replicate": False}
     for method in methods + bench.other_methods(scene.integrand):
         run = method.run(4096, 1)
         assert run.value == pytest.approx(scene.exact, rel=0.05) and 0 < run.n <= 4096 and run.seconds > 0, method.name

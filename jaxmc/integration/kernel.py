@@ -106,7 +106,7 @@ def _indices_of_row(base, offset, independent, each):
     return (Index(high + offset, low), Index(0, None)) if each else (Index(high, low + offset), Index(None, 0))
 
 
-def _values_of_row(integrand, point, index, word_axes, items):
+def values_of_row(integrand, point, index, word_axes, items):
     """Return the values of the samples of a row, leading axis LANES."""
     item_axes = tuple(0 for _ in items)
     if integrand.lazy:
@@ -136,7 +136,7 @@ def evaluate(integrand, tables, seed, base, offset, rows, *, sampler, tallies, e
     def records(base, offset, rows):
         def evaluate_row(r, values):
             index, word_axes = _indices_of_row(base[r], offset, sampler.independent, each)
-            value = _values_of_row(integrand, point, index, word_axes, (offset,) if each else ())
+            value = values_of_row(integrand, point, index, word_axes, (offset,) if each else ())
             return jax.tree.map(lambda all_rows, x: all_rows.at[r].set(x), values, value)
 
         valid = jnp.arange(len(base))[:, None] < rows

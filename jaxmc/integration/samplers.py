@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 GOLDEN = 0x9E3779B9  # 2^32 / golden ratio, odd: spreads consecutive dimensions over the words
+KEY_WORDS = np.random.SeedSequence(GOLDEN).generate_state(4, np.uint32)  # from which those of a key are made
 PILOT = 0x70696C6F  # keeps the samples of pilots apart from those of runs with the same key
 
 
@@ -41,18 +42,17 @@ def index_words(index) -> np.ndarray:
     return np.stack([index >> np.uint64(32), index & np.uint64(0xFFFFFFFF)], axis=-1).astype(np.uint32)
 
 
-def seed_words(key) -> np.ndarray:
-    """Return four 32-bit words from a seed: an integer in [0, 2^64) or a ``jax.random`` key."""
-    seed = key
+def seed_words(key) -> np.ndarray | jax.Array:
+    """Return four 32-bit words from a seed: an integer in [0, 2^64) or a ``jax.random`` key, which may be traced."""
     if isinstance(key, jax.Array):
-        data = np.asarray(jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key)
+        data = jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
         # One key has two words or four; other arrays are no keys, and a batch of keys is not one.
         if data.dtype == np.uint32 and data.shape in ((2,), (4,)):
-            seed = int.from_bytes(data.tobytes()[-8:], "big")
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= int(seed) < 1 << 64:
+            return mix(mix(data[-1] ^ KEY_WORDS) + data[-2])
+    if isinstance(key, bool) or not isinstance(key, int | np.integer) or not 0 <= int(key) < 1 << 64:
         raise ValueError(f"key must be an integer in [0, 2^64) or a jax.random key, got {key!r}")
     # Spread the seed over four words, so that neighbouring seeds share nothing.
-    return np.random.SeedSequence(int(seed)).generate_state(4, np.uint32)
+    return np.random.SeedSequence(int(key)).generate_state(4, np.uint32)
 
 
 def pilot_key(key) -> int:
