@@ -1,12 +1,10 @@
 """Error against run time: of our samplers, and of other integrators on the same integral, in one run."""
 
-import importlib
 import inspect
 import json
 import math
 from dataclasses import asdict
 from functools import cache, partial
-from importlib import metadata
 from pathlib import Path
 
 import jax
@@ -18,11 +16,11 @@ from .integration.lattices import Lattice
 from .integration.nets import Halton, Sobol
 from .integration.samplers import Independent
 from .integration.stratified import LatinHypercube, Stratified
+from .known import maker
 from .race import SEEDS, Curve, Method, race, timed
 
 SAMPLERS = (Independent(), Sobol(), Lattice(), Halton(), LatinHypercube(), Stratified())
 SINGLE = (Sobol(), Lattice())  # also compiled, with an error bar and without: other integrators have none either
-GROUP = "jaxmc.integrands"  # entry points: integrands of known value that an installed package offers by name
 FEW = 4  # dimensions in which adaptive cubature pays
 ROUNDING = 4 * float(np.finfo(np.float32).eps)  # below it there is nothing to see in float32
 REGION = 100  # points to a region of quadax's rule, about
@@ -87,13 +85,7 @@ def problem(name, dim=None):
     The function gets ``dim`` if it takes that, and returns an object with ``name``, ``integrand`` and ``exact``.
     Raises ``ValueError`` where there is none.
     """
-    offered = {point.name: point.value for point in metadata.entry_points(group=GROUP)}
-    module, _, function = str(offered.get(name, name)).partition(":")
-    try:
-        make = getattr(importlib.import_module(module), function)
-    except (ImportError, AttributeError, ValueError) as error:
-        known = ", ".join(sorted(offered)) or "none (install jaxmc again to see them)"
-        raise ValueError(f"no integrand {name!r}: name a module:function, or one of {known}") from error
+    make = maker(name)
     sized = "dim" in inspect.signature(make).parameters
     return make(dim=dim) if sized and dim is not None else make()
 

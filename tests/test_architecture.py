@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-TOP = "integration transport analysis gradients backend report plot scenes testing race other_integrators"
+TOP = "integration transport analysis gradients backend report plot scenes testing race other_integrators known"
 # room -> the rooms that it may import, besides itself. "" is `jaxmc` itself, that is, the public names.
 ALLOWED = {
     "backend": "",
@@ -20,6 +20,7 @@ ALLOWED = {
     "scenes": "transport",
     "race": "analysis",
     "other_integrators": "",
+    "known": "",
 }
 EDGES = {room: {room, *rooms.split()} for room, rooms in ALLOWED.items()}
 EDGES["bench"] = {"", "bench", *TOP.split()}
@@ -75,6 +76,8 @@ def test_imports_follow_the_arrows():
         ("jaxmc/studies/mirror_box", "import jaxmc as mc\nfrom ..report import Report", False),
         ("jaxmc/studies/mirror_box", "import analytic_scenes", True),
         ("jaxmc/studies/mirror_box", "from matplotlib import pyplot", True),
+        ("jaxmc/studies/calibration", "from ..known import maker", False),
+        ("jaxmc/known", "import analytic_scenes", True),
         ("jaxmc/bench", "from . import integrate, plot", False),
         ("jaxmc/bench", "import analytic_scenes.genz", True),
         ("jaxmc/other_integrators", "from . import integrate", True),

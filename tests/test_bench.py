@@ -12,7 +12,7 @@ import pytest
 
 import jaxmc as mc
 from analytic_scenes import genz
-from jaxmc import bench
+from jaxmc import bench, known
 from jaxmc.cli import main
 from jaxmc.race import Curve, Method, Run, Rung, race
 
@@ -70,7 +70,7 @@ def test_our_methods_and_others_integrate():
 
 
 def test_names_of_the_command_all_lead_to_integrands_of_known_value():
-    offered = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"][bench.GROUP]
+    offered = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"][known.GROUP]
     assert len(offered) > 10
     for value in offered.values():
         module, function = value.split(":")
@@ -90,6 +90,12 @@ def test_the_command_writes_figure_and_strict_json(tmp_path, monkeypatch, capsys
     found = json.loads((tmp_path / "time_to_error.json").read_text(), parse_constant=pytest.fail)
     assert found["methods"]["Independent"]["own"] and found["machine"]["cores"] and found["versions"]["scipy"]
     assert (tmp_path / "time_to_error.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_name_whose_package_is_gone_says_so(monkeypatch):
+    monkeypatch.setattr(known, "offered", lambda: {"lost": "no_such_package:f"})
+    with pytest.raises(ValueError, match=r"no integrand 'lost'.*no_such_package.*install the package again"):
+        bench.problem("lost")
 
 
 @pytest.mark.parametrize(

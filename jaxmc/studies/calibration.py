@@ -12,9 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from scipy.special import erf
 from scipy.stats import norm
 from tqdm import tqdm
 
@@ -23,33 +21,20 @@ from ..analysis.coverage import Coverage, coverage
 from ..analysis.tails import clopper_pearson
 from ..integration.combine import combine
 from ..integration.driver import integrate, integrate_each
-from ..integration.integrand import Integrand
 from ..integration.lattices import Lattice
 from ..integration.nets import Halton, Sobol
 from ..integration.samplers import Independent
 from ..integration.stratified import LatinHypercube, Stratified
+from ..known import GROUP, maker, offered
 from ..report import Report
-from ..testing import ThroughputProduct
-from ..transport.integrands import irradiance, radiance
-from ..transport.materials import Diffuse
-from ..transport.primitives import Quad, Sphere
-from ..transport.scene import Scene
 
 SAMPLERS = (Independent(), Sobol(), Lattice(), Halton(), LatinHypercube(), Stratified())
 N = 4096  # samples of one estimate, of all randomisations together
 RTOL = {"Independent": 1e-2, "Sobol": 4e-4}  # targets that ask for more than the first look
-HEAVY = 3  # of the samplers meet the heavy tails, which none can help
+FIRST = 3  # of the samplers meet the heavy tails, which none can help
 ITERATIONS, EACH = 16, 256  # of VEGAS, and samples of one
 METHODS = ("pooled", "inverse variance")
 LEVEL = 0.95  # that tables show
-
-
-class Problem(NamedTuple):
-    """A known integral. Whatever has these fields will do, such as an ``analytic_scenes.AnalyticScene``."""
-
-    name: str
-    integrand: Integrand
-    exact: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,92 +51,46 @@ class Settings:
             raise ValueError(f"the study estimates each integral 20 to 2^20 times, got replicates={self.replicates}")
 
 
-# Integrals that are known. Parameters are multiples of powers of 1/2: float32 holds them as they are.
+# Integrals, as (name on offer, arguments). Most are multiples of powers of 1/2: float32 holds them as they are.
 
-RATES = np.array([0.5, 1.0, 1.5, 2.0, 2.5])
-PLACES = np.array([0.375, 0.75, 0.25, 0.625, 0.5])
-JUMP = 0.625  # where the discontinuous integrand ends, in two coordinates
-CENTERS = np.array([[0.25, 0.75], [0.75, 0.625], [0.375, 0.25], [0.875, 0.125]])
+RATES, PLACES = (0.5, 1.0, 1.5, 2.0, 2.5), (0.375, 0.75, 0.25, 0.625, 0.5)
+OVER_CORNER = {"emission": 4.0, "corner": (0, 0, 1), "edge_u": (0, 0.5, 0), "edge_v": (0.75, 0, 0), "normal": (0, 0, 1)}
+TALL_WALL = {"corner": (-4, -12, -2), "edge_u": (0, 24, 0), "edge_v": (20, 0, 11), "normal": (0, 0, 1)}
+SPIKES = ("spikes", {"dim": 2, "volume": math.pi / 4096})  # of width 1/64
+LIGHT = (
+    ("discontinuous", {"dim": 5, "a": RATES, "w": (0.625, 0.625)}),
+    ("oscillatory", {"dim": 5, "a": RATES, "w": 0.125 / math.pi}),
+    ("gaussian-peak", {"dim": 5, "a": RATES, "w": PLACES}),
+    ("continuous", {"dim": 5, "a": RATES, "w": PLACES}),
+    ("linear-product", {"dim": 5}),
+    ("quad-light", {**OVER_CORNER, "lights": "mis"}),
+    ("quad-light", {**TALL_WALL, "lights": "none"}),
+    ("quad-light-in-mirror", {}),
+    ("sphere-light", {"emission": 4.0, "theta": math.acos(0.8), "lights": "mis"}),
+    ("sphere-light", {"radius": 2.0 * math.sin(1.4), "theta": 0.3, "lights": "none"}),
+    ("sphere-light-in-mirror", {}),
+    ("sphere-furnace", {"directions": "uniform"}),
+)
+HEAVY = (
+    ("power", {"dim": 2, "a": 0.6}),
+    ("firefly", {"dim": 2, "p": 1.0 / 4096, "A": 1024.5}),
+    SPIKES,
+    ("throughput-product", {"k": 10, "rho": 0.75}),
+    ("throughput-product", {"k": 24, "rho": 0.75}),
+)
 
 
-def light_problems() -> tuple[Problem, ...]:
-    """Return integrals that intervals should cover: four of Genz's families, a product and three scenes of light.
+def problems(table: Sequence[tuple[str, dict]]) -> list:
+    """Return the integrals of a table such as ``LIGHT`` and ``HEAVY``, each with ``name``, ``integrand`` and ``exact``.
 
-    Sources: Genz, Testing multidimensional integration routines (1984); for the lights Lambert, Photometria (1760).
+    Raises ``ValueError`` where an installed package offers no such name.
     """
-    wave = np.exp(0.25j) * np.prod(np.expm1(1j * RATES) / (1j * RATES))
-    a, w = RATES, PLACES
-    bell = np.prod(math.sqrt(math.pi) / (2 * a) * (erf(a * (1 - w)) + erf(a * w)))
-    kink = np.prod(-(np.expm1(-a * w) + np.expm1(-a * (1 - w))) / a)
-    jump = np.prod(np.expm1(a * [JUMP, JUMP, 1, 1, 1]) / a)
-    return (
-        Problem("Genz discontinuous", Integrand(discontinuous, 5, (a,)), float(jump)),
-        Problem("Genz oscillatory", Integrand(oscillatory, 5, (a,)), float(wave.real)),
-        Problem("Genz Gaussian peak", Integrand(gaussian_peak, 5, (a, w)), float(bell)),
-        Problem("Genz continuous", Integrand(continuous, 5, (a, w)), float(kink)),
-        Problem("linear product", Integrand(linear_product, 5), 1.0),
-        *_scenes(),
-    )
-
-
-def _scenes():
-    up = (0.0, 0.0, 1.0)
-    lamp = Quad((0.0, 0.0, 1.0), (0.0, 0.5, 0.0), (0.75, 0.0, 0.0), material=Diffuse(0.0), emission=4.0)
-    long, short = math.hypot(1.0, 0.75), math.hypot(1.0, 0.5)
-    over_corner = 2.0 * (0.75 / long * math.atan(0.5 / long) + 0.5 / short * math.atan(0.75 / short))
-    ball = Sphere((0.0, 0.0, 2.0), 0.5, material=Diffuse(0.0), emission=4.0)
-    room = Sphere((0.0, 0.0, 0.0), 2.0, material=Diffuse(0.5), emission=1.0, inward=True)
-    origin, furnace = (0.0, 0.0, 0.0), {"bounces": 3, "lights": "none", "directions": "uniform"}
-    return (
-        Problem("rectangle light", irradiance(Scene([lamp]), origin, up, bounces=0), over_corner),
-        Problem("sphere light", irradiance(Scene([ball]), origin, (0.6, 0.0, 0.8), bounces=0), 0.2 * math.pi),
-        Problem("furnace", radiance(Scene([room]), (0.5, -0.5, 0.25), up, **furnace), 1.875),
-    )
-
-
-def heavy_problems() -> tuple[Problem, ...]:
-    """Return integrals whose error bars should be refused: infinite variance, or rare samples that carry much."""
-    width = 1.0 / 64
-    sides = 0.5 * math.sqrt(math.pi) * width * (erf((1 - CENTERS) / width) + erf(CENTERS / width))
-    products = [ThroughputProduct(k, 0.75) for k in (10, 24)]
-    return (
-        Problem("power u^-0.6", Integrand(power, 2, (0.6,)), 0.4**-2.0),
-        Problem("firefly 1/4096", Integrand(firefly, 2, (1.0 / 64,)), 0.5 + 1024 / 4096),
-        Problem("spikes", Integrand(spikes, 2, (width,)), float(sides.prod(axis=1).sum())),
-        *(Problem(f"product of {p.k} weights", Integrand(p.sample, p.dim), float(p.mean)) for p in products),
-    )
-
-
-def oscillatory(u, a):
-    return jnp.cos(0.25 + jnp.sum(a * u))
-
-
-def gaussian_peak(u, a, w):
-    return jnp.exp(-jnp.sum((a * (u - w)) ** 2))
-
-
-def continuous(u, a, w):
-    return jnp.exp(-jnp.sum(a * jnp.abs(u - w)))
-
-
-def discontinuous(u, a):
-    return jnp.where((u[0] <= JUMP) & (u[1] <= JUMP), jnp.exp(jnp.sum(a * u)), 0.0)
-
-
-def linear_product(u):
-    return jnp.prod(0.5 + u)
-
-
-def power(u, a):
-    return (u[0] * u[1]) ** -a
-
-
-def firefly(u, side):
-    return 0.5 + jnp.where((u[0] < side) & (u[1] < side), 1024.0, 0.0)
-
-
-def spikes(u, width, item=None):
-    return jnp.sum(jnp.exp(-jnp.sum(((u - CENTERS) / width) ** 2, axis=1)))
+    if missing := sorted({name for name, _ in table} - set(offered())):
+        raise ValueError(
+            f"the study needs integrals of the package analytic_scenes, which is not found: no installed package "
+            f"offers {', '.join(missing)} among the entry points {GROUP}. Install jaxmc again: it comes with it"
+        )
+    return [maker(name)(**arguments) for name, arguments in table]
 
 
 # The study.
@@ -177,15 +116,16 @@ def _name(sampler):
 def run(folder, settings: Settings = Settings(), light: Sequence | None = None, heavy: Sequence | None = None) -> Path:
     """Run the study and return the path of its ``report.html``.
 
-    ``light`` and ``heavy`` replace the integrals: sequences of ``Problem`` or of anything with the same fields.
+    ``light`` and ``heavy`` replace the integrals: anything with ``name``, ``integrand`` and ``exact``, such as an
+    ``AnalyticScene``. Raises ``ValueError`` where the integrals are not installed or the folder cannot be written.
     """
+    light = problems(LIGHT) if light is None else light
+    heavy = problems(HEAVY) if heavy is None else heavy
     report = Report(folder, "Do error bars hold?", seed=settings.seed)
-    light = light_problems() if light is None else light
-    heavy = heavy_problems() if heavy is None else heavy
     groups = {
         "light": [Cell(p, s, {"n": N}) for p in light for s in settings.samplers],
         "stopped": [Cell(light[0], s, {"rtol": RTOL[name]}) for s in settings.samplers if (name := _name(s)) in RTOL],
-        "heavy": [Cell(p, s, {"n": N}) for p in heavy for s in settings.samplers[:HEAVY]],
+        "heavy": [Cell(p, s, {"n": N}) for p in heavy for s in settings.samplers[:FIRST]],
     }
     total, started = sum(map(len, groups.values())) * settings.replicates, time.perf_counter()
     with tqdm(total=total, unit=" runs", disable=not settings.progress, smoothing=0.05) as bar:
@@ -290,10 +230,12 @@ def _show_rules(report, settings):
 
 def _rules(settings):
     """Return combined means and whether their intervals cover, shape (replicates,), by rule, and the truth."""
-    problem = next(p for p in heavy_problems() if p.name == "spikes")
+    (problem,) = problems([SPIKES])
+    f = problem.integrand
+    family = dataclasses.replace(f, fn=lambda u, *arguments: f.fn(u, *arguments[:-1]))  # the same, whatever its number
     first = _key(settings, 1 << 10)
     keys = range(first, first + ITERATIONS)
-    iterations = [integrate_each(problem.integrand, settings.replicates, n=EACH, key=key) for key in keys]
+    iterations = [integrate_each(family, settings.replicates, n=EACH, key=key) for key in keys]
     combined = {rule: combine(iterations, rule) for rule in METHODS}
     half = norm.isf(0.5 - 0.5 * LEVEL)
     covers = {rule: np.abs(c.mean - problem.exact) <= half * c.stderr for rule, c in combined.items()}
