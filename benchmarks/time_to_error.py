@@ -14,6 +14,7 @@ figure to ``docs/time_to_error.png``. With --quick both go to ``out/time_to_erro
 
 import argparse
 import json
+import math
 import os
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from ratios import summary
 from time_to_error_light import image, irradiance
 
 from analytic_scenes import genz
-from jaxmc import bench, plot, race
+from jaxmc import bench, plot, race, report
 
 ROOT = Path(__file__).parents[1]
 FAMILIES = ("oscillatory", "product_peak", "corner_peak", "gaussian_peak", "continuous", "discontinuous")
@@ -43,7 +44,7 @@ def main():
     for name in [options.only] if options.only else parts:
         load = os.getloadavg()
         found[name] = {"load_before": load, **parts[name](options), **bench.about()}
-        bench.write_json(results, found)  # after each part: a long run that is stopped keeps what it has
+        report.write_json(results, found)  # after each part: a long run that is stopped keeps what it has
     draw(found, figure)
     print(f"All numbers: {results}\nFigure: {figure}")
 
@@ -111,13 +112,18 @@ def draw(found, file):
     fig, axes = plot.panels(len(drawn), min(PANELS, len(drawn)), size=(4.9, 3.9))
     for ax, (title, methods, targets) in zip(axes, drawn):
         curves = [
-            race.Curve(name, m["own"], m["error_bar"], [race.Rung(**rung) for rung in m["rungs"]])
+            race.Curve(name, m["own"], m["error_bar"], [race.Rung(**_numbers(rung)) for rung in m["rungs"]])
             for name, m in methods.items()
         ]
         plot.time_to_error(ax, curves, title, targets, others)
     plot.time_legend(fig)
     file.parent.mkdir(parents=True, exist_ok=True)
     fig.savefig(file, dpi=110)
+
+
+def _numbers(rung):
+    """Return the numbers of a rung that may have been read from JSON, where NaN is null and infinity "inf"."""
+    return {key: math.nan if value is None else float(value) for key, value in rung.items()}
 
 
 if __name__ == "__main__":

@@ -1,11 +1,9 @@
 """Error against run time: of our samplers, and of other integrators on the same integral, in one run."""
 
 import inspect
-import json
 import math
 from dataclasses import asdict
 from functools import cache, partial
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -124,23 +122,6 @@ def about() -> dict:
     return {"machine": report.machine(), "versions": report.versions() | other_integrators.versions()}
 
 
-def write_json(file, found):
-    """Write strict JSON: an infinity or NaN becomes null."""
-    file = Path(file)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps(_strict(found), indent=1) + "\n")
-
-
-def _strict(value):
-    if isinstance(value, dict):
-        return {str(key): _strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_strict(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value
-
-
 def run(name, dim, max_seconds, out, say=print) -> list[Curve]:
     """Measure every sampler and every other integrator that is installed on one integrand; write figure and JSON.
 
@@ -149,11 +130,7 @@ def run(name, dim, max_seconds, out, say=print) -> list[Curve]:
     scene = problem(name, dim)
     if not scene.exact:
         raise ValueError(f"{scene.name} integrates to 0: relative errors have no meaning")
-    out = Path(out)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"the folder {str(out)!r} cannot be written ({error.strerror}). Name another one") from error
+    out = report.writable_folder(out)
     methods = own_methods(scene.integrand) + other_methods(scene.integrand)
     say(f"{scene.name}: {len(methods)} methods, RMS relative error over {SEEDS} seeds")
     curves = race(methods, scene.exact, seconds_each=max_seconds / len(methods), enough=ROUNDING)
@@ -162,7 +139,7 @@ def run(name, dim, max_seconds, out, say=print) -> list[Curve]:
     plot.time_to_error(ax, curves, scene.name)
     plot.time_legend(fig)
     fig.savefig(out / "time_to_error.png", dpi=150)
-    write_json(
+    report.write_json(
         out / "time_to_error.json",
         {"integrand": scene.name, "exact": scene.exact, "seeds": SEEDS, **about(), "methods": as_dict(curves)},
     )

@@ -36,14 +36,8 @@ class Report:
     """A folder in the making: each method adds to the end of the page, and ``save`` writes it."""
 
     def __init__(self, folder, title, seed=None):
-        self.folder, self.title, self.seed = Path(folder), str(title), seed
+        self.folder, self.title, self.seed = writable_folder(folder), str(title), seed
         self._body, self._values, self._tables, self._figures = [], {}, [], []
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            tempfile.TemporaryFile(dir=self.folder).close()
-        except OSError as error:
-            problem = f"The report folder {str(self.folder)!r} cannot be written ({error.strerror})."
-            raise ValueError(f"{problem} Name another folder, or change the permissions of this one.") from error
 
     def section(self, title):
         """Start a section."""
@@ -88,8 +82,7 @@ class Report:
         about = {"date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), "seed": self.seed}
         about = _plain({**about, "versions": versions(), "machine": machine()}, "report")
         facts = {"title": self.title, "values": self._values, "tables": self._tables, "figures": self._figures, **about}
-        text = json.dumps(facts, indent=1, allow_nan=False, ensure_ascii=False)
-        _write(self.folder, {"report.json": text.encode(), "report.html": self._page(about).encode()})
+        _write(self.folder, {"report.json": _json(facts), "report.html": self._page(about).encode()})
         return self.folder / "report.html"
 
     def _picture(self, png, name, caption, kind):
@@ -108,6 +101,28 @@ class Report:
         body = [f"<h1>{escape(self.title)}</h1>", *self._body, *values, f"<footer>{escape(footer)}</footer>"]
         head = f'<meta charset="utf-8"><title>{escape(self.title)}</title><style>\n{STYLE}\n</style>'
         return "\n".join(['<!doctype html><html lang="en">', f"<head>{head}</head><body>", *body, "</body></html>"])
+
+
+def writable_folder(path) -> Path:
+    """Make a folder, or raise ``ValueError`` where that is impossible or nothing can be written there."""
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        problem = f"The folder {str(folder)!r} cannot be written ({error.strerror})."
+        raise ValueError(f"{problem} Name another folder, or change the permissions of this one.") from error
+    return folder
+
+
+def write_json(file, value):
+    """Write a number, string, array, or a list, dict or NamedTuple of them as strict JSON: all of it or nothing.
+
+    NaN becomes null, infinities the strings "inf" and "-inf". Raises ``ValueError`` for other values, and where the
+    folder of the file cannot be written.
+    """
+    file = Path(file)
+    _write(writable_folder(file.parent), {file.name: _json(_plain(value, file.stem))})
 
 
 def machine():
@@ -145,6 +160,10 @@ def _plain(value, where):
     if isinstance(value, list | tuple):
         return [_plain(item, where) for item in value]
     raise ValueError(f"{where}: a report holds numbers, strings, arrays, lists and dicts; {type(value).__name__} came.")
+
+
+def _json(value):
+    return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
 
 
 def _cell(value):

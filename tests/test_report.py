@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from jaxmc.report import Report, machine
+from jaxmc.report import Report, machine, write_json
 
 
 class Pair(NamedTuple):
@@ -90,6 +90,17 @@ def test_json_is_strict(tmp_path):
     facts = strict(tmp_path / "report.json")
     assert facts["values"]["all"] == [None, "inf", "-inf", None, [1, "inf"], None, True]
     assert facts["tables"][0]["rows"] == [[None], ["inf"]]
+
+
+def test_a_json_file_is_strict_and_whole_or_left_as_it_was(tmp_path):
+    file = tmp_path / "new" / "numbers.json"
+    write_json(file, {"a": np.inf, 2: (np.nan, np.float32(0.5)), "pair": Pair(1.0, -np.inf)})
+    assert strict(file) == {"a": "inf", "2": [None, 0.5], "pair": {"mean": 1.0, "stderr": "-inf"}}
+    with pytest.raises(ValueError, match=r"numbers\.thing.*object"):
+        write_json(file, {"thing": object()})
+    assert strict(file)["a"] == "inf" and [path.name for path in file.parent.iterdir()] == ["numbers.json"]
+    with pytest.raises(ValueError, match="Name another folder"):
+        write_json(file / "below" / "numbers.json", {})
 
 
 def test_everything_is_escaped(tmp_path):
