@@ -4,17 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..integration.intervals import Ends
 from ..integration.tallies import Histogram, Largest
-from .tails import (
-    Interval,
-    TailFit,
-    Wait,
-    clopper_pearson,
-    effective_sample_size,
-    expected_wait,
-    largest_shares,
-    pareto_khat,
-)
+from .tails import TailFit, Wait, clopper_pearson, effective_sample_size, expected_wait, largest_shares, pareto_khat
 
 SHARES = (1, 10, 100)
 
@@ -39,7 +31,7 @@ class FireflyReport(NamedTuple):
     threshold: float
     count: int
     rate: float
-    rate_interval: Interval
+    rate_interval: Ends
     energy: float
     shares: dict[int, float]
     effective_n: float

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from ..integration.intervals import Ends
+
 RELIABLE_KHAT = 0.7  # ceiling of the reliability threshold, Vehtari et al., arXiv 1507.02646
 ROUNDING = 1e-5  # of a float32 path, relative to the tail: far below the gaps of a continuous law
 LEAST_EXCEEDANCES = 5  # fewest points a generalised Pareto law is fitted to
@@ -147,14 +149,7 @@ def effective_sample_size(n: int, total: np.ndarray, total_square: np.ndarray) -
     return np.minimum(size, n)[()]
 
 
-class Interval(NamedTuple):
-    """Two ends of a confidence interval."""
-
-    lower: np.ndarray
-    upper: np.ndarray
-
-
-def clopper_pearson(count: np.ndarray, n: int, level: float = 0.95) -> Interval:
+def clopper_pearson(count: np.ndarray, n: int, level: float = 0.95) -> Ends:
     """Return the exact two-sided interval of a probability from ``count`` hits in ``n`` independent samples.
 
     Source: Clopper & Pearson, Biometrika 26 (1934). Raises ValueError unless 0 <= count <= n and 0 < level < 1.
@@ -167,7 +162,7 @@ def clopper_pearson(count: np.ndarray, n: int, level: float = 0.95) -> Interval:
     side = 0.5 * (1.0 - level)
     lower = np.where(count == 0, 0.0, stats.beta.ppf(side, np.maximum(count, 1), n - count + 1))
     upper = np.where(count == n, 1.0, stats.beta.isf(side, count + 1, np.maximum(n - count, 1)))
-    return Interval(lower[()], upper[()])
+    return Ends(lower[()], upper[()])
 
 
 class Exceedance(NamedTuple):

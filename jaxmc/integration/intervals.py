@@ -1,6 +1,6 @@
 """Confidence intervals of a mean."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -10,12 +10,14 @@ MEDIAN, BOOTSTRAP = "median of means", "bootstrap-t"
 RESAMPLES = 2000
 
 
-class _Ends(NamedTuple):
-    lower: object
-    upper: object
+class Ends(NamedTuple):
+    """Two ends of a confidence interval, in the shape of what it is of."""
+
+    lower: Any
+    upper: Any
 
 
-class Interval(_Ends):
+class Interval(Ends):
     """The ends (lower, upper) of a confidence interval, in the shape of the value, its ``method`` and ``level``."""
 
     def __new__(cls, lower, upper, method, level):
