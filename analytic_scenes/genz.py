@@ -14,7 +14,6 @@ subroutines (1987); Barthelmann, Novak and Ritter, High dimensional polynomial i
 """
 
 import math
-import numbers
 import types
 from collections.abc import Callable, Mapping
 
@@ -24,6 +23,7 @@ import numpy as np
 
 import jaxmc as mc
 from analytic_scenes.scene import AnalyticScene, value_and_derivatives, variance_and_kurtosis
+from jaxmc.integration.counts import positive
 
 SOURCE = "Genz, Testing multidimensional integration routines (1984); moments: the same integrals"
 MOST_DIMENSIONS = 1000  # of the corner peak, whose quadrature takes memory as dim^(3/2)
@@ -117,14 +117,8 @@ def scene_of_moments(
     return AnalyticScene(name, integrand, exact, variance, kurtosis, derivatives, source)
 
 
-def check_dimension(dim) -> None:
-    """Raise ``ValueError`` where ``dim`` is not a positive integer."""
-    if isinstance(dim, bool) or not isinstance(dim, numbers.Integral) or dim < 1:
-        raise ValueError(f"dim must be a positive integer; got {dim!r}")
-
-
 def _coefficients(dim, difficulty, a):
-    check_dimension(dim)
+    positive("dim", dim)
     if a is None:
         uneven = 0.5 + np.arange(1, dim + 1) * np.sqrt(3.0) % 1.0
         a = difficulty * uneven / uneven.sum()

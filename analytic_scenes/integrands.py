@@ -15,8 +15,9 @@ from scipy import special
 
 import jaxmc as mc
 from analytic_scenes import genz
-from analytic_scenes.genz import check_dimension, scene_of_moments
+from analytic_scenes.genz import scene_of_moments
 from analytic_scenes.scene import AnalyticScene, variance_and_kurtosis
+from jaxmc.integration.counts import is_count, positive
 
 MOST_SPIKES = 16  # the fourth moment is a sum over all quadruples of spikes, 3876 of them
 
@@ -59,7 +60,7 @@ def sobol_g(dim: int = 8, a=None) -> AnalyticScene:
     ``a`` is a number >= 0 or ``dim`` of them, by default (k - 1)/2 for k = 1, 2, ...
     Exact: mean 1, variance prod (1 + 1/(3 (1 + a_k)^2)) - 1.
     """
-    check_dimension(dim)
+    positive("dim", dim)
     a = _each_coordinate("a", np.arange(dim) / 2 if a is None else a, dim)
     if np.any(a < 0):
         raise ValueError(f"a must not be negative; got {a}")
@@ -73,7 +74,7 @@ def simplex(dim: int = 8, s: float | None = None) -> AnalyticScene:
     Exact: s^dim/dim! for s <= 1, in general the law of Irwin and Hall. Its alternating sum is evaluated in rational
     numbers, so it is right to the last digit in any dimension. The derivative comes from the edge alone.
     """
-    check_dimension(dim)
+    positive("dim", dim)
     s = dim / 2 - math.sqrt(dim / 12) if s is None else s
     if not 0 < s < dim:
         raise ValueError(f"s must lie between 0 and dim={dim}; got {s}")
@@ -110,7 +111,7 @@ def power(dim: int = 8, a: float = 0.3) -> AnalyticScene:
     In float32 no coordinate is below 2^-33. What lies between two coordinates is lost to each factor: relative to its
     mean, (1 - a) |zeta(a, 1/2)| 2^(-32 (1 - a)), that is 6e-5 at a = 0.6 and 3e-8 at a = 0.3.
     """
-    check_dimension(dim)
+    positive("dim", dim)
     if not 0 < a < 1:
         raise ValueError(f"a must lie between 0 and 1, where the mean is finite; got {a}")
     moments = [(1 - q * a) ** -dim if q * a < 1 else math.inf for q in (1, 2, 3, 4)]
@@ -132,7 +133,7 @@ def firefly(dim: int = 8, p: float = 1e-3, A: float = 500.0, background: float =
     Exact: mean p A + (1 - p) background, variance p (1 - p) (A - background)^2. The derivative with respect to ``p``
     comes from the edge alone. ``A`` and ``background`` are finite.
     """
-    check_dimension(dim)
+    positive("dim", dim)
     if not 0 < p < 1 or not math.isfinite(A) or not math.isfinite(background):
         raise ValueError(f"0 < p < 1 and finite A and background are needed; got p={p}, A={A}, background={background}")
     variance, kurtosis = _two_values(p)
@@ -156,8 +157,8 @@ def spikes(dim: int = 8, count: int = 4, volume: float = 2.0**-16) -> AnalyticSc
     The relative variance is about 2^(-dim/2) / (count volume). An iteration that misses a spike finds too small a mean
     and too small a variance. So a mean of iterations with weights 1/variance, the rule of VEGAS, comes out too small.
     """
-    check_dimension(dim)
-    if not isinstance(count, int | np.integer) or not 1 <= count <= MOST_SPIKES or not 0 < volume < math.inf:
+    positive("dim", dim)
+    if not is_count(count, most=MOST_SPIKES) or not 0 < volume < math.inf:
         raise ValueError(f"an integer 1 <= count <= {MOST_SPIKES} and volume > 0 are needed; got {count} and {volume}")
     numbers = np.outer(np.arange(1, count + 1), np.arange(1, dim + 1))
     centers = 0.1 + 0.8 * (numbers * math.sqrt(2.0) % 1.0)
@@ -174,7 +175,7 @@ def spikes(dim: int = 8, count: int = 4, volume: float = 2.0**-16) -> AnalyticSc
 
 
 def _each_coordinate(name, value, dim):
-    check_dimension(dim)
+    positive("dim", dim)
     value = np.asarray(value, float)
     if value.shape not in ((), (dim,)) or not np.all(np.isfinite(value)):
         raise ValueError(f"{name} must be a finite number or {dim} of them; got {value}")

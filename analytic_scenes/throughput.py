@@ -12,6 +12,7 @@ from scipy.special import lambertw
 
 import jaxmc as mc
 from analytic_scenes.scene import AnalyticScene, variance_and_kurtosis
+from jaxmc.integration.counts import is_count
 from jaxmc.testing import ThroughputProduct
 
 
@@ -21,7 +22,7 @@ def throughput_product(k: int = 2, rho: float = 0.8) -> AnalyticScene:
     Exact: mean rho^k, E W^q = ((2 rho)^q / (q + 1))^k, relative variance (4/3)^k - 1 whatever rho.
     Raises ``ValueError`` for k < 1 or a negative rho.
     """
-    if k < 1 or rho < 0:
+    if not is_count(k) or rho < 0:
         raise ValueError(f"a product of k >= 1 weights with rho >= 0 is needed; got k={k}, rho={rho}")
     law = ThroughputProduct(k, rho)
     _, kurtosis = variance_and_kurtosis([law.moment(q) for q in (1, 2, 3, 4)])

@@ -245,7 +245,7 @@ def test_an_almost_constant_integrand_has_no_kurtosis():
 )
 @pytest.mark.parametrize("dim", [0, 2.0, True, "2"])
 def test_bad_dimension(make, dim):
-    with pytest.raises(ValueError, match="dim must be a positive integer; got"):
+    with pytest.raises(ValueError, match="dim must be a positive integer, got"):
         make(dim)
 
 

@@ -5,6 +5,7 @@ import pytest
 
 import jaxmc as mc
 from jaxmc import scenes
+from jaxmc.integration.counts import is_count, positive
 
 SCENE, CAMERA = scenes.cornell_box(8, 8)
 NAN, INF = float("nan"), float("inf")
@@ -78,3 +79,22 @@ CASES = [
 def test_bad_input_is_refused_with_the_cure(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+@pytest.mark.parametrize("value", [0, -1, 2.0, True, np.True_, np.float32(3), None, "4", 1 << 63, np.uint64(1 << 63)])
+def test_what_is_no_count(value):
+    assert not is_count(value)
+    with pytest.raises(ValueError, match=r"spp must be a positive integer.*, got .*; take one or more"):
+        positive("spp", value, cure="take one or more")
+
+
+@pytest.mark.parametrize("value", [1, (1 << 63) - 1, np.int8(7), np.uint64(1 << 62)])
+def test_counts_become_ints(value):
+    count = positive("n", value)
+    assert count == value and type(count) is int
+
+
+def test_counts_have_limits():
+    assert is_count(0, least=0) and is_count(9, most=9) and not is_count(10, most=9)
+    with pytest.raises(ValueError, match=r"width must be a positive integer up to 9, got 10$"):
+        positive("width", 10, most=9)

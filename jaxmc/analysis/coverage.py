@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from tqdm import tqdm
 
+from ..integration.counts import positive
 from ..integration.estimate import Estimate
 from .tails import clopper_pearson
 
@@ -242,8 +243,7 @@ def _checked(estimate):
 def _check(exact, replicates, levels, methods):
     if np.ndim(exact) != 0 or not np.isfinite(exact):
         raise ValueError(f"exact must be one finite number, got {exact!r}: pass the closed form of the integral")
-    if isinstance(replicates, bool) or not isinstance(replicates, int | np.integer) or replicates < 1:
-        raise ValueError(f"replicates must be a positive integer, got {replicates!r}: 400 know 0.95 to 0.02")
+    positive("replicates", replicates, cure="400 know 0.95 to 0.02")
     if not levels or not all(0.0 < level < 1.0 for level in levels):
         raise ValueError(f"levels must lie between 0 and 1, got {levels}: write 0.95 for 95 %")
     if not methods:

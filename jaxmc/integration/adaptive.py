@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .driver import positive
+from .counts import positive
 from .integrand import as_integrand
 from .samplers import Independent, Index, index_words, pilot_key, seed_words
 

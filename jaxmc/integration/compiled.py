@@ -10,7 +10,7 @@ import numpy as np
 from jax import lax
 
 from .. import backend
-from .driver import positive
+from .counts import positive
 from .integrand import as_integrand
 from .kernel import LANES, values_of_row
 from .samplers import Independent, Index, seed_words

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .driver import positive
+from .counts import is_count, positive
 from .integrand import Integrand, as_integrand
 from .samplers import Independent, Index, index_words, seed_words
 
@@ -33,9 +33,7 @@ def draw(f, *, dim=None, n=None, indices=None, key=0, sampler=Independent(), poi
     integrand = as_integrand(f, dim)
     if (n is None) == (indices is None):
         raise ValueError("draw wants either n, for the first n samples, or indices")
-    if indices is None:
-        indices = np.arange(positive("n", n), dtype=np.uint64)
-    given = _as_indices(indices)
+    given = np.arange(positive("n", n), dtype=np.uint64) if indices is None else _as_indices(indices)
     tables = point_tables(sampler, integrand.dim, n if points is None else points)
     u, value = _draw(integrand, tables, jnp.asarray(seed_words(key)), index_words(given), sampler=sampler)
     return Samples(given, np.asarray(u), jax.tree.map(np.asarray, value))
@@ -48,12 +46,16 @@ def point_tables(sampler, dim, points):
     return sampler.tables(1 if points is None else positive("points", points), dim)
 
 
+def is_index(value) -> bool:
+    """Return whether ``value`` is an integer in [0, 2^64)."""
+    return is_count(value, least=0, most=(1 << 64) - 1)
+
+
 def _as_indices(indices):
     # NumPy makes floats of a list that holds integers below and above 2^63: look at each by itself.
     given = indices if isinstance(indices, np.ndarray) else np.array(indices, object)
     words = given.ravel().tolist()
-    whole = all(isinstance(i, int | np.integer) and not isinstance(i, bool) and 0 <= i < 1 << 64 for i in words)
-    if given.ndim != 1 or not whole:
+    if given.ndim != 1 or not all(map(is_index, words)):
         raise ValueError(f"indices must be a list of integers in [0, 2^64), got {indices!r}")
     return np.array(words, np.uint64)
 

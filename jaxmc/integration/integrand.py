@@ -7,7 +7,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+
+from .counts import positive
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["params"], meta_fields=["fn", "dim", "lazy", "labels"])
@@ -40,8 +41,7 @@ class Integrand:
     def __post_init__(self):
         if not callable(self.fn):
             raise ValueError(f"fn must be a function of one point, got {self.fn!r}")
-        if isinstance(self.dim, bool) or not isinstance(self.dim, int | np.integer) or self.dim < 1:
-            raise ValueError(f"dim must be a positive integer, got {self.dim!r}; pass the number of coordinates of u")
+        positive("dim", self.dim, cure="pass the number of coordinates of u")
 
     def __call__(self, u):
         """Return the value at one point: an array of shape ``(dim,)`` or a lazy point."""

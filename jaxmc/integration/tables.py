@@ -8,6 +8,8 @@ from importlib import resources
 
 import numpy as np
 
+from .counts import is_count
+
 BITS = 32
 MOST_SOBOL, MOST_LATTICE = 2048, 1024  # dimensions in the files
 
@@ -40,7 +42,7 @@ def primes(dim: int) -> np.ndarray:
 
 
 def _first(table, dim, name):
-    if isinstance(dim, bool) or not isinstance(dim, int | np.integer) or not 1 <= dim <= len(table):
+    if not is_count(dim, most=len(table)):
         raise ValueError(
             f"{name} holds dimensions 1 to {len(table)}, got dim={dim!r}: "
             "ask for fewer and take the remaining coordinates from the independent sampler"

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .counts import is_count
 from .moments import apply, block_sum
 
 BINS_PER_OCTAVE = 8
@@ -131,7 +132,7 @@ class TopSamples:
     pooled = True
 
     def __post_init__(self):
-        if not isinstance(self.k, int | np.integer) or isinstance(self.k, bool) or self.k < 1:
+        if not is_count(self.k):
             raise ValueError(f"TopSamples keeps k >= 1 samples, a whole number, got k={self.k!r}")
 
     def reduce(self, values, valid, axes):

@@ -7,9 +7,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from .controls import coordinates, value_shape
+from .counts import is_count, positive
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,8 +33,7 @@ class Technique:
     def __post_init__(self):
         if not callable(self.sample) or not callable(self.pdf):
             raise ValueError(f"sample and pdf must be functions, got {self.sample!r} and {self.pdf!r}; pass functions")
-        if not _positive(self.dim):
-            raise ValueError(f"dim must be a positive integer, got {self.dim!r}; pass how many coordinates sample uses")
+        positive("dim", self.dim, cure="pass how many coordinates sample uses")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,17 +77,13 @@ def ratio(value, density):
     return jnp.where(nowhere, 0.0, value / jnp.where(nowhere, 1.0, density))
 
 
-def _positive(value):
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and value > 0
-
-
 def space_of(g, techniques, counts, params):
     """Return the ``Space``, or raise ``ValueError`` where something is not as documented."""
     techniques = tuple(techniques)
     if not techniques or not all(isinstance(t, Technique) for t in techniques):
         raise ValueError(f"techniques must be at least one Technique, got {techniques!r}; pass [Technique(...), ...]")
     counts = (1,) * len(techniques) if counts is None else tuple(counts)
-    if len(counts) != len(techniques) or not all(map(_positive, counts)):
+    if len(counts) != len(techniques) or not all(map(is_count, counts)):
         raise ValueError(
             f"counts must be {len(techniques)} positive integers, one for each technique, got {counts!r}; "
             "leave out a technique that is not to be used"

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from ..integration.counts import positive
 from .primitives import as_vec3, is_concrete, is_number
 from .shapes import Ray, ray
 from .vec import Vec3, cross, dot, normalize
@@ -52,8 +53,7 @@ def PinholeCamera(origin, target, up=(0.0, 1.0, 0.0), fov=40.0, width=256, heigh
         ValueError: a size that is not a positive integer, a field of view out of range, or a view along ``up``.
     """
     for name, value in (("width", width), ("height", height)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 < value <= 1 << 15:
-            raise ValueError(f"PinholeCamera {name} must be an integer from 1 to {1 << 15}, got {value!r}")
+        positive(f"PinholeCamera {name}", value, most=1 << 15)
     if not (is_number(fov) and 0.0 < fov < 180.0):
         raise ValueError(f"PinholeCamera fov must lie between 0 and 180 degrees, got {fov!r}")
     origin, target, up = (

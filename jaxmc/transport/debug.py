@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..integration.draw import point_tables
+from ..integration.draw import is_index, point_tables
 from ..integration.samplers import Independent, Index, index_words, seed_words
 from .camera import Camera
 from .integrands import path_integrand
@@ -95,7 +95,7 @@ def replay(
     """
     integrand = path_integrand(scene, camera, **options)
     several = [indices] if np.ndim(indices) == 0 else list(indices)
-    if not all(isinstance(i, int | np.integer) and not isinstance(i, bool) and 0 <= i < 1 << 64 for i in several):
+    if not all(map(is_index, several)):
         raise ValueError(f"sample indices must be integers in [0, 2^64), got {indices!r}")
     if not several:
         return []

@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..integration.driver import integrate_each, positive
+from ..integration.counts import is_count, positive
+from ..integration.driver import integrate_each
 from ..integration.estimate import Estimate
 from ..integration.integrand import Integrand
 from ..integration.moments import Moments, MomentsResult
@@ -111,7 +112,7 @@ def path_throughput(scene: Scene, camera: Camera, *, events, directions="cosine"
     as in ``path_integrand`` with ``lights="none"``.
     """
     numbers = tuple(events) if np.ndim(events) == 1 else ()
-    if not numbers or not all(isinstance(k, int | np.integer) and k > 0 for k in numbers):
+    if not numbers or not all(map(is_count, numbers)):
         raise ValueError(f"events must be a list of positive integers, got {events!r}")
     _check(scene, Scene, "scene", "mc.Scene([...])")
     _check(camera, Camera, "camera", "mc.PinholeCamera(...)")

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..integration.counts import is_count
 from . import shapes
 from .hits import Hit, Surface, closest_hit, surface_at, unoccluded
 from .materials import luminance, pdf_diffuse, power_heuristic, reflect, sample_diffuse, weight_of_hit
@@ -36,7 +37,7 @@ class Strategy:
     hide_emitters: bool = False
 
     def __post_init__(self):
-        if isinstance(self.bounces, bool) or not isinstance(self.bounces, int | np.integer) or self.bounces < 0:
+        if not is_count(self.bounces, least=0):
             raise ValueError(f"bounces must be an integer >= 0, got {self.bounces!r}; 0 is emission seen directly")
         for name, known in (("directions", ("cosine", "uniform")), ("lights", ("mis", "nee", "none"))):
             if not isinstance(getattr(self, name), str) or getattr(self, name) not in known:
