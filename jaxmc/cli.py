@@ -1,4 +1,4 @@
-"""The command line: ``jaxmc study | replay``."""
+"""The command line: ``jaxmc study | replay | bench``."""
 
 import argparse
 import sys

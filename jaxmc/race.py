@@ -84,8 +84,7 @@ def race(methods, exact, *, ladder=LADDER, seeds=SEEDS, seconds_each=10.0, enoug
     """Measure methods side by side on an integral of value ``exact``: on each rung, seeds alternate between them.
 
     A method leaves when the next rung would take it beyond ``seconds_each`` in all, when its error is below ``enough``,
-    or when it fails. The first call on each rung, which may compile, is recorded apart and is
-    part of no median.
+    or when it fails. The first call on each rung, which may compile, is recorded apart and is part of no median.
     """
     curves = {m.name: Curve(m.name, m.own, m.error_bar) for m in methods}
     spent, active = dict.fromkeys(curves, 0.0), list(methods)
