@@ -116,7 +116,7 @@ def draw(found, file):
             for name, m in methods.items()
         ]
         plot.time_to_error(ax, curves, title, targets, others)
-    plot.time_legend(fig)
+    plot.shared_legend(fig)
     file.parent.mkdir(parents=True, exist_ok=True)
     fig.savefig(file, dpi=110)
 

@@ -137,7 +137,7 @@ def run(name, dim, max_seconds, out, say=print) -> list[Curve]:
     say(table(curves))
     fig, (ax,) = plot.panels(1, 1, size=(8.0, 5.0))
     plot.time_to_error(ax, curves, scene.name)
-    plot.time_legend(fig)
+    plot.shared_legend(fig)
     fig.savefig(out / "time_to_error.png", dpi=150)
     report.write_json(
         out / "time_to_error.json",

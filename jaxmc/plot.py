@@ -134,19 +134,27 @@ def panels(count, columns=2, size=(5.2, 3.8)):
     return fig, axes.ravel()[:count]
 
 
+LINE_COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#bcbd22", "#17becf")
+LINE_MARKERS = "os^D"
+
+
 def reliability(ax, measured, level=0.95):
     """Draw the share of intervals that cover against their nominal level; ``measured``: label -> ``Coverage``.
 
-    Grey: where the share of a right interval lies with probability ``level``, for the fewest claims among them.
+    Grey: where the share of a right interval lies with probability ``level``, for the fewest claims among them. Those
+    without any claim have no line. Colours follow the order of ``measured``; ``shared_legend`` names them.
     """
-    claims = min(c.claims for c in measured.values())
+    claims = min(c.claims for c in measured.values() if c.claims)
     nominal = np.linspace(0.3, 0.997, 400)
     edges = [stats.binom.ppf(side, claims, nominal) / claims for side in (0.5 - 0.5 * level, 0.5 + 0.5 * level)]
     least, most = 0.1, 1.0 - 0.5 / claims
     ax.fill_between(nominal, *np.clip(edges, least, most), color="0.85", label=f"right, {level:.0%} band")
     ax.plot(nominal, nominal, color="k", lw=0.6, ls="--")
-    for label, c in measured.items():
-        ax.plot(c.levels, np.clip(c.covered[0], least, most), ".-", lw=0.8, ms=5, label=label)
+    for k, (label, c) in enumerate(measured.items()):
+        turn, place = divmod(k, len(LINE_COLORS))
+        style = {"color": LINE_COLORS[place], "marker": LINE_MARKERS[turn % len(LINE_MARKERS)], "lw": 0.9, "ms": 3.5}
+        if c.claims:
+            ax.plot(c.levels, np.clip(c.covered[0], least, most), label=label, **style)
     ax.set(xscale="logit", yscale="logit", xlim=(0.4, 0.995), ylim=(0.9 * least, 0.9995))
     for axis, ticks in ((ax.xaxis, (0.5, 0.9, 0.95, 0.99)), (ax.yaxis, (0.1, 0.5, 0.9, 0.95, 0.99, 0.999))):
         axis.set_major_locator(FixedLocator(ticks))
@@ -163,8 +171,8 @@ def z_scores(ax, z, dof):
     ax.hist(np.clip(z, -4.99, 4.99), edges, density=True, color="#9ecae1", label=f"{z.size:,} runs")
     x = np.linspace(-5.0, 5.0, 300)
     ax.plot(x, stats.t.pdf(x, dof), color="k", lw=1, label="normal law" if np.isinf(dof) else f"Student's, {dof:g} dof")
-    ax.set(xlabel="(mean - exact) / stderr", ylabel="density")
-    ax.legend(fontsize=8)
+    ax.set(xlabel="(mean - exact) / stderr", ylabel="density", ylim=(0.0, 1.25 * ax.get_ylim()[1]))  # room for a legend
+    ax.legend(fontsize=8, loc="upper right")
 
 
 def histograms(ax, samples, edges, truth, xlabel):
@@ -173,7 +181,8 @@ def histograms(ax, samples, edges, truth, xlabel):
         ax.hist(np.clip(values, edges[0], edges[-1]), edges, color=color, alpha=0.6, label=label)
     ax.axvline(truth, color="k", lw=1, label="truth")
     ax.set(xlabel=xlabel, ylabel="runs")
-    ax.legend(fontsize=8)
+    ax.yaxis.get_major_locator().set_params(integer=True)
+    ax.legend(fontsize=8, loc="upper right")
 
 
 OWN_COLORS = {
@@ -184,20 +193,22 @@ OTHER_MARKERS = "osD^vx+*P<>1248p"
 
 
 def time_to_error(ax, curves, title, targets=(), others=None):
-    """Draw error against time: our methods in colour (dotted without an error bar), others dashed in grey.
+    """Draw error against time: our methods in colour, others dashed in grey.
 
+    Ours are dotted without an error bar, dash-dotted where they are a variant of another.
     ``curves`` are those of ``bench``; ``others`` names what is not ours in an order that all axes of a figure share.
     """
     others = others or [curve.name for curve in curves if not curve.own]
     for curve in sorted(curves, key=lambda c: c.own):
         x, y = [r.seconds for r in curve.rungs], [r.error for r in curve.rungs]
         if curve.own:
-            color = OWN_COLORS.get(curve.name.partition(",")[0])
-            style = {"color": color, "ls": "-" if curve.error_bar else ":", "lw": 1.8, "ms": 5, "marker": "."}
+            sampler, _, variant = curve.name.partition(", ")
+            line = ":" if not curve.error_bar else "-." if variant else "-"
+            style = {"color": OWN_COLORS.get(sampler), "ls": line, "lw": 1.8, "ms": 5, "marker": "."}
         else:
             place = others.index(curve.name)
-            grey = str(0.2 + 0.12 * (place % 5))
-            style = {"color": grey, "ls": "--", "lw": 0.8, "ms": 4, "marker": OTHER_MARKERS[place % len(OTHER_MARKERS)]}
+            grey, marker = str(0.2 + 0.08 * (place % 5)), OTHER_MARKERS[place % len(OTHER_MARKERS)]
+            style = {"color": grey, "ls": "--", "lw": 0.9, "ms": 4.5, "marker": marker}
         ax.plot(x, y, label=curve.name, **style)
     for target in targets:
         ax.axhline(target, color="k", lw=0.6, alpha=0.5)
@@ -208,11 +219,16 @@ def time_to_error(ax, curves, title, targets=(), others=None):
     ax.grid(alpha=0.25)
 
 
-def time_legend(fig):
-    """Draw one legend for all axes of a figure, below it: ours first."""
+def shared_legend(fig):
+    """Draw one legend for all axes of a figure, below it, in as many columns as fit; dashed lines come last."""
     handles = {}
     for ax in fig.axes:
         for handle, label in zip(*ax.get_legend_handles_labels()):
             handles.setdefault(label, handle)
     order = sorted(handles, key=lambda label: handles[label].get_linestyle() == "--")
-    fig.legend([handles[k] for k in order], order, loc="outside lower center", ncols=5, fontsize=8, frameon=False)
+    for columns in range(len(order), 0, -1):
+        style = {"loc": "outside lower center", "ncols": columns, "fontsize": 8, "frameon": False}
+        legend = fig.legend([handles[k] for k in order], order, **style)
+        if legend.get_window_extent().width <= fig.bbox.width or columns == 1:
+            break
+        legend.remove()

@@ -193,17 +193,18 @@ def _table(report, cells, caption):
 def _figures(report, cells):
     by_sampler = {}
     for cell in cells:
-        if cell.result.claims:
-            by_sampler.setdefault(cell.by, {})[cell.problem.name] = cell.result
+        by_sampler.setdefault(cell.by, {})[cell.problem.name] = cell.result
+    by_sampler = {name: measured for name, measured in by_sampler.items() if any(c.claims for c in measured.values())}
     figures = [plot.panels(len(by_sampler), 3, (4.2, 3.4)) for _ in range(2)]
     for i, (name, measured) in enumerate(by_sampler.items()):
         reliability, scores = (axes[i] for _, axes in figures)
         plot.reliability(reliability, measured)
-        plot.z_scores(scores, np.concatenate([c.z for c in measured.values()]), next(iter(measured.values())).dof)
+        dof = next(c.dof for c in measured.values() if c.claims)
+        plot.z_scores(scores, np.concatenate([c.z for c in measured.values()]), dof)
         reliability.set_title(name, fontsize=10)
         scores.set_title(name, fontsize=10)
     if by_sampler:
-        figures[0][1][0].legend(fontsize=6)
+        plot.shared_legend(figures[0][0])
         report.figure(figures[0][0], "reliability", "Light tails: each line is an integral; right ones stay in grey.")
         report.figure(figures[1][0], "z_scores", "Errors in units of their error bars, all light integrals together.")
 
