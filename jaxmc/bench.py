@@ -52,7 +52,7 @@ def other_methods(integrand) -> list[Method]:
     def batch(u):
         # Fill up to a power of two: vegas changes the size of its batches, and JAX compiles for each.
         more = (1 << (len(u) - 1).bit_length()) - len(u)
-        return np.asarray(integrand.batch(np.pad(u, ((0, more), (0, 0)), mode="edge")), float)[: len(u)]
+        return np.array(integrand.batch(np.pad(u, ((0, more), (0, 0)), mode="edge")), float)[: len(u)]
 
     found = [
         timed(name, function, error_bar=not name.endswith(other_integrators.POINTS_ONLY))
