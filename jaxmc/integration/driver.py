@@ -14,6 +14,7 @@ import numpy as np
 
 from .. import backend
 from . import stopping
+from .counts import positive
 from .estimate import Estimate
 from .integrand import Integrand, as_integrand
 from .kernel import BLOCK, CHUNK, LANES, ROWS, evaluate, item_jobs, lanes_for, stream_jobs
@@ -90,14 +91,6 @@ def integrate_each(
     run = Run(f, key, sampler, replicates, tallies, workers, blocks, ROWS, items, lanes)
     with Progress(progress, run.points(n) * (replicates or 1) * items) as bar:
         return run.family(n, bar)
-
-
-def positive(name, value) -> int:
-    """Return ``value`` as an int, or raise ``ValueError`` where it is not a positive integer below 2^63."""
-    integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not integer or not 0 < value < 1 << 63:
-        raise ValueError(f"{name} must be a positive integer below 2^63, got {value!r}")
-    return int(value)
 
 
 def _blocks(chunk):

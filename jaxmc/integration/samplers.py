@@ -19,6 +19,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .counts import is_count
+
 GOLDEN = 0x9E3779B9  # 2^32 / golden ratio, odd: spreads consecutive dimensions over the words
 KEY_WORDS = np.random.SeedSequence(GOLDEN).generate_state(4, np.uint32)  # from which those of a key are made
 PILOT = 0x70696C6F  # keeps the samples of pilots apart from those of runs with the same key
@@ -49,7 +51,7 @@ def seed_words(key) -> np.ndarray | jax.Array:
         # One key has two words or four; other arrays are no keys, and a batch of keys is not one.
         if data.dtype == np.uint32 and data.shape in ((2,), (4,)):
             return mix(mix(data[-1] ^ KEY_WORDS) + data[-2])
-    if isinstance(key, bool) or not isinstance(key, int | np.integer) or not 0 <= int(key) < 1 << 64:
+    if not is_count(key, least=0, most=(1 << 64) - 1):
         raise ValueError(f"key must be an integer in [0, 2^64) or a jax.random key, got {key!r}")
     # Spread the seed over four words, so that neighbouring seeds share nothing.
     return np.random.SeedSequence(int(key)).generate_state(4, np.uint32)

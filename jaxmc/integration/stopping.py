@@ -11,6 +11,8 @@ import time
 
 import numpy as np
 
+from .counts import positive
+
 LEVEL = 0.95
 FIRST = 1 << 16  # samples of the first look
 GROWTH = 64  # at most, from one look to the next
@@ -46,15 +48,15 @@ def target(n, rtol, atol, max_n, max_seconds) -> Target | None:
     for name, value in (("rtol", rtol), ("atol", atol), ("max_seconds", max_seconds)):
         if value is not None and not (np.isscalar(value) and np.isreal(value) and 0.0 < value < math.inf):
             raise ValueError(f"{name} must be a positive number, got {value!r}")
-    if max_n is not None and not (isinstance(max_n, int | np.integer) and 0 < max_n < 1 << 63):
-        raise ValueError(f"max_n must be a positive integer below 2^63, got {max_n!r}")
     if n is not None:
         if any(x is not None for x in (rtol, atol, max_n, max_seconds)):
             raise ValueError("give either n, or a target (rtol, atol) and a budget (max_n, max_seconds), not both")
         return None
     if rtol is None and atol is None and max_seconds is None:
         raise ValueError("say how many samples (n=...), how exact (rtol=..., atol=...) or how long (max_seconds=...)")
-    return Target(rtol or 0.0, atol or 0.0, int(max_n or MAX_N), max_seconds or math.inf)
+    return Target(
+        rtol or 0.0, atol or 0.0, positive("max_n", MAX_N if max_n is None else max_n), max_seconds or math.inf
+    )
 
 
 def run_until(target: Target, run, bar):
