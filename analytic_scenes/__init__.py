@@ -8,6 +8,7 @@ import functools
 import math
 
 from analytic_scenes import genz, integrands
+from analytic_scenes.checking import Check, check
 from analytic_scenes.furnace import cube_furnace, furnace_moments, furnace_radiance, sphere_furnace
 from analytic_scenes.irradiance import (
     corner_rectangle_irradiance,
@@ -20,6 +21,7 @@ from analytic_scenes.irradiance import (
     standing_rectangle_irradiance,
 )
 from analytic_scenes.lights import rectangle_light, rectangle_light_in_mirror, sphere_light, sphere_light_in_mirror
+from analytic_scenes.names import find
 from analytic_scenes.scene import AnalyticScene, value_and_derivatives
 from analytic_scenes.throughput import critical_albedo, tail_index, throughput_product
 
@@ -53,9 +55,12 @@ def _all() -> tuple[AnalyticScene, ...]:
 __all__ = [
     "ALL",
     "AnalyticScene",
+    "Check",
+    "check",
     "corner_rectangle_irradiance",
     "critical_albedo",
     "cube_furnace",
+    "find",
     "furnace_moments",
     "furnace_radiance",
     "genz",

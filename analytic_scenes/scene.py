@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxmc as mc
+from analytic_scenes.names import slug
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,6 +47,11 @@ class AnalyticScene:
     geometry: str = ""
     tolerance: float = 1e-12
     view: Callable[[], tuple[mc.Scene, mc.PinholeCamera]] | None = None
+
+    @property
+    def slug(self) -> str:
+        """The name as it is typed on a command line: ``jaxmc scenes sphere-light-lights-nee``."""
+        return slug(self.name)
 
 
 def value_and_derivatives(

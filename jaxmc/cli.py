@@ -1,11 +1,14 @@
-"""The command line: ``jaxmc study | replay | bench``."""
+"""The command line: ``jaxmc study | replay | bench``, and the commands of other packages, such as ``jaxmc scenes``."""
 
 import argparse
 import sys
+from importlib import metadata
 
 from . import __version__, bench, scenes
 from .studies import calibration, mirror_box, sparkles
 from .transport.debug import replay
+
+GROUP = "jaxmc.commands"  # entry points: functions that add a command of another package to argparse's commands
 
 
 def main(arguments=None) -> int:
@@ -56,6 +59,11 @@ def _parser():
     race.add_argument("--max-seconds", type=float, default=30.0, help="time to measure, besides compiling (default 30)")
     race.add_argument("--out", default="out/bench", help="folder of figure and numbers (default out/bench)")
     race.set_defaults(run=_bench)
+    for point in metadata.entry_points(group=GROUP):
+        try:
+            point.load()(commands)
+        except (ImportError, AttributeError) as error:
+            print(f"jaxmc: the command {point.name} of {point.value} is missing: {error}", file=sys.stderr)
     return parser
 
 

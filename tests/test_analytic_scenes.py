@@ -1,6 +1,7 @@
 """The estimator against truth: every scene whose answer is known, with error bars small enough to be evidence."""
 
 import math
+import re
 
 import pytest
 
@@ -42,8 +43,9 @@ def test_default_scene(scene):
         check(scene, rtol=1e-4)
 
 
-def test_names_are_unique():
-    assert len({scene.name for scene in scenes.ALL}) == len(scenes.ALL)
+def test_names_are_unique_and_typeable():
+    assert len({scene.name for scene in scenes.ALL}) == len({scene.slug for scene in scenes.ALL}) == len(scenes.ALL)
+    assert all(re.fullmatch(r"[a-z0-9][a-z0-9.-]*[a-z0-9]", scene.slug) for scene in scenes.ALL)
 
 
 ABOVE = {"normal": (0.0, 0.0, 1.0)}

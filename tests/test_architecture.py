@@ -11,7 +11,7 @@ TOP = "integration transport analysis gradients backend report plot scenes testi
 ALLOWED = {
     "backend": "",
     "report": "",
-    "testing": "",
+    "testing": "integration",
     "integration": "backend",
     "transport": "integration backend",
     "analysis": "integration backend",

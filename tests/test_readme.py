@@ -16,6 +16,7 @@ def test_examples_run():
     assert namespace["even"].stderr < 0.02 * namespace["estimate_of_exp"].stderr
     assert namespace["wanted"].status == "converged"
     assert abs(namespace["estimate"].mean - namespace["lamp"].exact) < 5 * namespace["estimate"].stderr
+    assert namespace["result"].passed
 
 
 def test_files_named_in_the_readme_exist():

@@ -1,6 +1,4 @@
-"""What tests are made of: a check of an estimate against truth, and laws of one sample with known clamping.
-
-``assert_unbiased`` passes only on evidence.
+"""Laws of one sample whose moments, tails and cost of clamping are known.
 
 Every law has ``dim`` and ``sample(u)``, where ``u[k]`` is coordinate k in [0, 1): an array of shape (dim,) or (dim, n),
 NumPy or JAX, or a point that computes a coordinate when asked. So ``law.sample`` is an integrand as it stands.
@@ -20,44 +18,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import optimize, special
-
-SIGMAS = 5.0  # a sound estimate is farther off once in two million checks
-ROUNDING = 1e-5  # relative: what float32 may do to values that should all be the same
-
-
-def assert_unbiased(estimate, exact, rel_precision, *, variance=None) -> None:
-    """Check that an ``Estimate`` agrees with its true value, and that it could have disagreed.
-
-    Passes where every component has a standard error of at most ``rel_precision`` times ``|exact|``, a mean within
-    5 standard errors of ``exact``, and no value was NaN or infinite. Where the samples do not vary, beyond rounding,
-    the mean may be off by rounding: 1e-5 of ``exact``.
-
-    Args:
-        estimate: what ``integrate`` or ``render`` returned.
-        exact: the true value, in the shape of the mean.
-        rel_precision: how small a relative error bar counts as evidence; a smaller one reveals smaller mistakes.
-        variance: of one sample in closed form, for a heavy tail, whose sample variance is too small most of the time.
-
-    Raises:
-        AssertionError: what failed, with all the numbers.
-    """
-    mean, exact = np.asarray(estimate.mean, np.float64), np.asarray(exact, np.float64)
-    variance = np.asarray(estimate.variance if variance is None else variance, np.float64)
-    stderr = np.sqrt(variance / estimate.n)
-    constant = np.sqrt(variance) <= ROUNDING * np.abs(exact)
-    allowed = np.where(constant, ROUNDING * np.abs(exact), SIGMAS * stderr)
-    with np.errstate(invalid="ignore"):
-        faults = {
-            f"{estimate.nonfinite} values were not finite": np.isnan(mean) | (estimate.nonfinite > 0),
-            "the error bar is too wide to be evidence": ~(stderr <= rel_precision * np.abs(exact)),
-            f"the mean is more than {SIGMAS:g} standard errors off": ~(np.abs(mean - exact) <= allowed),
-        }
-    found = [fault for fault, where in faults.items() if np.any(where)]
-    if found:
-        raise AssertionError(
-            f"{'; '.join(found)}: mean {mean}, exact {exact}, difference {mean - exact}, allowed {allowed}, "
-            f"standard error {stderr}, at most {rel_precision:g} of |exact|, n = {estimate.n:,}"
-        )
 
 
 class Mix(NamedTuple):
