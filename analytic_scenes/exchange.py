@@ -25,7 +25,7 @@ SOURCE = "Howell, A catalog of radiation heat transfer configuration factors, "
 
 
 def default_scenes() -> tuple[AnalyticScene, ...]:
-    """Return the default configurations, of relative variance below 1."""
+    """Return the default configurations, of relative variance below 1; that of the two spheres is 4."""
     return (
         facing_rectangles(),
         facing_rectangles(1.0, 1.0, 1.0, lights="nee"),
@@ -55,7 +55,9 @@ def facing_rectangles(
         lights,
         "section C-11",
         "Two equal rectangles, one straight above the other; the upper one shines down on the lower.",
-        lambda: _view([light, mc.Quad(*receiver)], (0.0, -4.0 * depth, 0.8 * distance), (0.0, 0.0, 0.4 * distance)),
+        lambda: _view(
+            [light, mc.Quad(*receiver)], (0.8 * width, -1.2 * width - depth, 0.6 * distance), (0.0, 0.0, 0.4 * distance)
+        ),
     )
 
 
@@ -77,7 +79,9 @@ def standing_rectangle(
         lights,
         "section C-14",
         "A rectangular wall stands on the edge of a rectangular floor of the same width and shines on it.",
-        lambda: _view([wall, mc.Quad(*receiver)], (3.0 * height, -1.0 * height, 1.5 * height), (0.0, width / 2, 0.0)),
+        lambda: _view(
+            [wall, mc.Quad(*receiver)], (2.0 * height, -0.5 * height, 1.3 * height), (0.0, width / 2, 0.4 * height)
+        ),
     )
 
 
@@ -107,7 +111,7 @@ def offset_rectangles(
         lights,
         "section C-13",
         "A rectangle of the floor, and a rectangular lamp in the ceiling beside it; sides parallel to x and y.",
-        lambda: _view([light, mc.Quad(*receiver)], (0.5, -2.0, 0.7), (0.4, 0.4, 0.4)),
+        lambda: _view([light, mc.Quad(*receiver)], (0.5, -1.0, 0.7), (0.4, 0.4, 0.5)),
     )
 
 
@@ -157,7 +161,9 @@ def two_spheres(
         "spheres of two sizes (Juul 1976; Felske 1978)",
         "Two spheres apart from each other; one shines on the other.",
         lambda: _view(
-            [light, mc.Sphere((0.0, 0.0, 0.0), radius)], (distance / 2, -3.0 * distance, 0.0), (distance / 2, 0.0, 0.0)
+            [light, mc.Sphere((0.0, 0.0, 0.0), radius)],
+            (0.3 * distance, -2.2 * distance, 0.0),
+            (distance / 2, 0.0, 0.0),
         ),
     )
 
