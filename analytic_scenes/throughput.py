@@ -1,19 +1,43 @@
 """The throughput of a path that samples every direction uniformly on the hemisphere: a product of 2 rho U_i.
 
 At a diffuse surface of albedo rho the weight of such a direction is (rho/pi) cos / (1/2 pi) = 2 rho cos, and cos is
-uniform on [0, 1). The weights are independent in any closed scene of one albedo. Their mean is rho, yet they exceed 1
-whenever cos > 1/(2 rho), and the products are heavy-tailed: the simplest source of fireflies. The whole law of the
-product (exceedance, bias of clamping, ...) is ``jaxmc.testing.ThroughputProduct``.
+uniform on [0, 1). The weights are independent in any closed scene of one albedo, and between endless parallel plates of
+two. Their mean is rho, yet they exceed 1 whenever cos > 1/(2 rho), and the products are heavy-tailed: the simplest
+source of fireflies. The whole law of the product (exceedance, bias of clamping, ...) is
+``jaxmc.testing.ThroughputProduct``.
 """
 
+import dataclasses
+import functools
 import math
+from collections.abc import Callable
+from typing import Any
 
+import jax.numpy as jnp
+from jax.scipy.special import gammainc
 from scipy.special import lambertw
 
 import jaxmc as mc
-from analytic_scenes.scene import AnalyticScene, variance_and_kurtosis
+from analytic_scenes.enclosures import plates
+from analytic_scenes.scene import AnalyticScene, value_and_derivatives, variance_and_kurtosis
 from jaxmc.integration.counts import is_count
 from jaxmc.testing import ThroughputProduct
+from jaxmc.transport import shapes
+from jaxmc.transport.paths import trace
+
+SOURCE = "moments of a product of independent uniform variables"
+
+
+def default_scenes() -> tuple[AnalyticScene, ...]:
+    """Return the default configurations, of relative variance below 1."""
+    return (
+        throughput_product(),
+        throughput_walk(),
+        throughput_walk(events=1, power=2),
+        throughput_walk(albedo=0.9, other_albedo=0.4),
+        log_throughput(),
+        throughput_exceedance(),
+    )
 
 
 def throughput_product(k: int = 2, rho: float = 0.8) -> AnalyticScene:
@@ -34,8 +58,93 @@ def throughput_product(k: int = 2, rho: float = 0.8) -> AnalyticScene:
         exact_variance=float(law.variance),
         exact_kurtosis=kurtosis,
         derivatives={"rho": k * rho ** (k - 1)},
-        source="moments of a product of independent uniform variables",
+        source=SOURCE,
+        formula=functools.partial(_power, k=k),
+        arguments={"rho": rho},
+        geometry="No scene: the weights of a path as they stand.",
     )
+
+
+def throughput_walk(
+    events: int = 2, albedo: float = 0.8, other_albedo: float | None = None, power: float = 1
+) -> AnalyticScene:
+    """Return E W^q of the throughput W of a path after ``events`` scattering events; q is the ``power``.
+
+    The path is traced: inside a sphere of one ``albedo``, or between two endless plates, of which it meets the one of
+    ``albedo`` first. Raises ``ValueError`` for events < 1 and a power or albedo that is not positive.
+    """
+    albedos = (albedo,) if other_albedo is None else (albedo, other_albedo)
+    _check(events, *albedos, power)
+    moments = [float(throughput_moment(*(albedos * 2)[:2], events, power * q)) for q in (1, 2, 3, 4)]
+    arguments = {"albedo": albedo} if other_albedo is None else {"albedo": albedo, "other_albedo": other_albedo}
+    where = "in a sphere" if other_albedo is None else "between plates"
+    return _walk_scene(
+        f"throughput{'' if power == 1 else f'^{power:g}'} after {events} events {where}",
+        albedos,
+        events,
+        (_to_the, (float(power),)),
+        functools.partial(_one_albedo if other_albedo is None else throughput_moment, events=events, power=power),
+        arguments,
+        variance_and_kurtosis(moments),
+    )
+
+
+def log_throughput(events: int = 5, albedo: float = 0.8) -> AnalyticScene:
+    """Return the mean of the logarithm of a path's throughput in a sphere of one ``albedo``: ``events`` (ln 2 rho - 1).
+
+    It falls although the mean throughput may not: typical paths are dim, rare ones bright. The logarithm of each weight
+    is that of a uniform number, so the variance is ``events`` and the kurtosis 3 + 6/events.
+    Errors as ``throughput_walk``.
+    """
+    _check(events, albedo)
+    return _walk_scene(
+        f"log throughput after {events} events",
+        (albedo,),
+        events,
+        (jnp.log, ()),
+        functools.partial(mean_log_throughput, events=events),
+        {"albedo": albedo},
+        (float(events), 3.0 + 6.0 / events),
+    )
+
+
+def throughput_exceedance(threshold: float = 0.2, events: int = 3, albedo: float = 0.8) -> AnalyticScene:
+    """Return the probability that a path's throughput in a sphere of one ``albedo`` is above ``threshold``: a firefly.
+
+    The derivatives come from the edge alone: differentiating the integrand gives 0. Errors as ``throughput_walk``.
+    """
+    _check(events, albedo, threshold)
+    law = ThroughputProduct(events, albedo)
+    probability = float(law.exceedance(threshold))
+    return _walk_scene(
+        f"throughput above {threshold:g} after {events} events",
+        (albedo,),
+        events,
+        (_exceeds, (float(threshold),)),
+        functools.partial(exceedance, events=events),
+        {"albedo": albedo, "threshold": threshold},
+        variance_and_kurtosis([probability] * 4),
+    )
+
+
+def throughput_moment(albedo, other_albedo, events, power=1):
+    """Return E W^q = prod_i (2 rho_i)^q/(q + 1) after ``events`` events on surfaces that take turns."""
+    first, second = (2.0 * albedo) ** power / (power + 1), (2.0 * other_albedo) ** power / (power + 1)
+    return first ** ((events + 1) // 2) * second ** (events // 2)
+
+
+def mean_log_throughput(albedo, events):
+    """Return E ln W = k (ln 2 rho - 1)."""
+    return events * (jnp.log(2.0 * albedo) - 1.0)
+
+
+def exceedance(albedo, threshold, events):
+    """Return P(W > t) = P(k, k ln(2 rho) - ln t), the regularised lower incomplete gamma function.
+
+    -ln of a product of k uniform numbers is Gamma(k)-distributed. 0 for t >= (2 rho)^k, which no path exceeds.
+    """
+    depth = events * jnp.log(2.0 * albedo) - jnp.log(threshold)
+    return jnp.where(depth > 0, gammainc(float(events), jnp.where(depth > 0, depth, 1.0)), 0.0)
 
 
 def critical_albedo(q: float) -> float:
@@ -62,3 +171,61 @@ def tail_index(rho: float) -> float:
         return math.inf
     a = math.log(2 * rho)
     return -1.0 - float(lambertw(-a * math.exp(-a), -1).real) / a
+
+
+@dataclasses.dataclass(frozen=True)
+class _Walk:
+    """``measure(throughput, *parameters)`` after the last event of a path.
+
+    In float32, one uniform direction in 1e8 grazes a sphere so closely that its ray misses. Such a path has throughput
+    0, or goes on from where it was for a ``measure`` that has no value at 0.
+    """
+
+    strategy: Any
+    measure: Callable
+
+    def __call__(self, u, scene, origin, direction, *parameters):
+        def throughput(surface, state):
+            return jnp.where((surface.primitive >= 0) | (self.measure is jnp.log), state.beta, 0.0)
+
+        _, seen = trace(scene, self.strategy, u, 0, shapes.ray(origin, direction), throughput)
+        return self.measure(jnp.asarray(seen)[-1], *parameters)
+
+
+def _walk_scene(name, albedos, events, measure, formula, arguments, spread):
+    exact, derivatives = value_and_derivatives(formula, **arguments)
+    function, parameters = measure
+    if len(albedos) == 1:
+        room = [mc.Sphere((0.0, 0.0, 0.0), 2.0, mc.Diffuse(albedos[0]), inward=True)]
+        geometry = "The inside of a diffuse sphere."
+    else:
+        room = plates(*map(mc.Diffuse, albedos))
+        geometry = "Two endless parallel plates, squares of side 2e5 at distance 1."
+    path = mc.radiance(
+        mc.Scene(room), (0.3, -0.2, 0.5), (0.2, 0.3, -0.9), bounces=events, directions="uniform", lights="none"
+    )
+    integrand = dataclasses.replace(path, fn=_Walk(path.fn.strategy, function), params=(*path.params, *parameters))
+    return AnalyticScene(
+        name, integrand, exact, *spread, derivatives, SOURCE, formula=formula, arguments=arguments, geometry=geometry
+    )
+
+
+def _to_the(throughput, power):
+    return throughput**power
+
+
+def _exceeds(throughput, threshold):
+    return jnp.where(throughput > threshold, 1.0, 0.0)
+
+
+def _power(rho, k):
+    return rho**k
+
+
+def _one_albedo(albedo, events, power):
+    return throughput_moment(albedo, albedo, events, power)
+
+
+def _check(events, *positive):
+    if events < 1 or min(positive) <= 0:
+        raise ValueError(f"events >= 1, albedos, powers and thresholds > 0 are needed; got {events} and {positive}")
