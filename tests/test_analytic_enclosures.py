@@ -42,7 +42,8 @@ FORMULAS = {
     ),
 }
 MODULES = (furnace, enclosures, integrating_sphere, view_factors, throughput, roulette)
-MINE = tuple(scene for scene in scenes.ALL if scene.formula)
+irradiance = jax.jit(scenes.sphere_irradiance)
+SCENES = tuple(scene for scene in scenes.ALL if scene.formula)
 
 
 def close(value, reference, rel=RTOL):
@@ -70,27 +71,31 @@ def test_figures_with_20_digits(name):
 def test_figures_of_whole_scenes():
     close(scenes.throughput_walk(events=5).exact_kurtosis - 3, 19.249175851701994062)
     assert scenes.log_throughput(events=5).exact_variance == 5.0
-    deep = scenes.lit_cap(3.0, 0.75, math.pi / 6, bounces=300)
+    deep = scenes.lit_cap(3.0, 0.75, math.pi / 6, bounces=120)
     close(deep.exact_variance, float(FIGURES["R06"]["value"]))
-    deep = scenes.lit_cap(3.0, 0.75, math.pi / 6, bounces=300, survival=0.75)
+    deep = scenes.lit_cap(3.0, 0.75, math.pi / 6, bounces=120, survival=0.75)
     close(deep.exact_variance, float(FIGURES["R07"]["value"]))
-    close(roulette.roulette_furnace(0.6, 0.7, bounces=300).exact_variance, float(FIGURES["R01e"]["value"]))
-    close(roulette.roulette_furnace(0.6, 0.7, bounces=300, guaranteed=3).exact_variance, float(FIGURES["R04"]["value"]))
-    uniform = roulette.roulette_furnace(0.5, 0.8, bounces=300, directions="uniform")
+    close(roulette.roulette_furnace(0.6, 0.7, bounces=120).exact_variance, float(FIGURES["R01e"]["value"]))
+    close(roulette.roulette_furnace(0.6, 0.7, bounces=120, guaranteed=3).exact_variance, float(FIGURES["R04"]["value"]))
+    uniform = roulette.roulette_furnace(0.5, 0.8, bounces=120, directions="uniform")
     close(uniform.exact_variance, float(FIGURES["R05"]["value"]))
-    close(scenes.absorption_furnace(0.6, 0.7, bounces=300).exact_variance, float(FIGURES["R03"]["value"]))
-    close(scenes.path_length(0.7, bounces=300).exact_variance, float(FIGURES["R02v"]["value"]))
-    unit = {"width": 1.0, "depth": 1.0}
-    with jax.enable_x64(True):
-        faces = view_factors.facing_rectangles_factor(**unit, distance=1.0)
-        sides = view_factors.standing_rectangle_factor(**unit, height=1.0)
-        close(float(faces + 4 * sides), 1.0)
+    close(scenes.absorption_furnace(0.6, 0.7, bounces=120).exact_variance, float(FIGURES["R03"]["value"]))
+    close(scenes.path_length(0.7, bounces=120).exact_variance, float(FIGURES["R02v"]["value"]))
+    facing, standing = unit_square_factors()
+    close(facing + 4 * standing, 1.0)  # a cube is closed
+
+
+@functools.cache
+def unit_square_factors():
+    facing, _ = scenes.value_and_derivatives(formula_of(FIGURES["V01a"]), **FIGURES["V01a"]["parameters"])
+    standing, _ = scenes.value_and_derivatives(formula_of(FIGURES["V02a"]), **FIGURES["V02a"]["parameters"])
+    return facing, standing
 
 
 # ---------------------------------------------------------------------------------------- what every scene says
 
 
-@pytest.mark.parametrize("scene", MINE, ids=lambda scene: scene.name)
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
 def test_a_scene_agrees_with_its_formula(scene):
     exact, derivatives = scenes.value_and_derivatives(scene.formula, **scene.arguments)
     close(scene.exact, exact, rel=scene.tolerance)
@@ -99,7 +104,7 @@ def test_a_scene_agrees_with_its_formula(scene):
         assert derivatives[name] == pytest.approx(derivative, rel=RTOL, abs=1e-14)
 
 
-@pytest.mark.parametrize("scene", MINE, ids=lambda scene: scene.name)
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
 def test_derivatives_against_finite_differences(scene):
     def at(shift, name):
         moved = {**scene.arguments, name: np.add(scene.arguments[name], shift)}
@@ -113,15 +118,10 @@ def test_derivatives_against_finite_differences(scene):
             assert np.asarray(scene.derivatives[name])[index] == pytest.approx(difference, rel=1e-7, abs=1e-8)
 
 
-@pytest.mark.parametrize("scene", [s for s in MINE if s.view], ids=lambda scene: scene.name)
+@pytest.mark.parametrize("scene", [s for s in SCENES if s.view], ids=lambda scene: scene.name)
 def test_a_view_can_be_seen(scene):
     place, camera = scene.view()
     assert place.size > 0 and camera.width * camera.height > 1000
-
-
-def test_relative_variances_are_small():
-    for scene in MINE:
-        assert scene.exact_variance is None or scene.exact_variance < scene.exact**2, scene.name
 
 
 # ---------------------------------------------------------------------------------------- view factors
@@ -133,26 +133,30 @@ def nodes(count, low=0.0, high=1.0):
 
 
 def test_parallel_rectangles_against_quadrature_of_the_point_formula():
+    def corner_factor(u, v):  # from a point to the rectangle [0, u] x [0, v] at height 1
+        to_u, to_v = np.sqrt(1 + u * u), np.sqrt(1 + v * v)
+        return (u / to_u * np.arctan(v / to_u) + v / to_v * np.arctan(u / to_v)) / (2 * math.pi)
+
     (x, wx), (y, wy) = nodes(24, 0.1, 0.3), nodes(24, 0.2, 0.5)
-    x, y = (c.ravel() for c in np.meshgrid(x, y))
-    quad = {"edge_u": np.array([0.0, 0.3, 0.0]), "edge_v": np.array([0.3, 0.0, 0.0])}
-    with jax.enable_x64(True):
-        irradiance = jax.jit(jax.vmap(lambda corner: scenes.parallelogram_irradiance(12.0, corner, **quad)))
-        values = np.asarray(irradiance(np.stack([0.35 - x, 0.35 - y, np.ones_like(x)], axis=1)))
-    close(float(np.outer(wy, wx).ravel() @ values) / 0.06, scenes.offset_rectangles().exact)
+    ends = [(sign, end - x[:, None]) for sign, end in ((-1, 0.35), (1, 0.65))]
+    other_ends = [(sign, end - y[None]) for sign, end in ((-1, 0.35), (1, 0.65))]
+    factor = sum(s * t * corner_factor(u, v) for s, u in ends for t, v in other_ends)
+    close(wx @ factor @ wy / 0.06 * 12 * math.pi, scenes.offset_rectangles().exact)
     shape = {"corner": (0.0, 0.0), "size": (2.0, 1.0), "other_corner": (0.0, 0.0), "other_size": (2.0, 1.0)}
     general, _ = scenes.value_and_derivatives(view_factors.parallel_rectangles_factor, **shape, distance=0.5)
     close(general, scenes.facing_rectangles(2.0, 1.0, 0.5).exact)
 
 
 def test_standing_rectangle_against_quadrature_of_the_point_formula():
+    def corner_factor(width, distance):  # from a point to a wall of height 2 with a corner straight ahead
+        slant = np.hypot(2.0, distance)
+        return (np.arctan(width / distance) - distance / slant * np.arctan(width / slant)) / (2 * math.pi)
+
     # To the power of 5, so that points crowd at the ends of the common edge, where the irradiance is not smooth.
     t, weight = nodes(80)
     t, weight = t**5, weight * 5 * t**4
-    with jax.enable_x64(True):
-        half = scenes.standing_rectangle_irradiance(1.0, 1.5 * t[:, None], 2.0, 0.5 * t[None])
-        mean = 2 * weight @ np.asarray(half) @ weight
-    close(mean / math.pi, scenes.standing_rectangle(0.5, 2.0, 1.5).exact)
+    mean = 2 * weight @ corner_factor(1.5 * t[:, None], 0.5 * t[None]) @ weight
+    close(mean, scenes.standing_rectangle(0.5, 2.0, 1.5).exact)
 
 
 def test_disks_against_quadrature_of_the_point_formula():
@@ -177,18 +181,15 @@ def test_spheres_against_quadrature_of_the_point_formula(radius, other, distance
     # The horizon of the receiver touches the other sphere at the first angle, and hides it from the second on.
     ends = [0.0, math.acos((radius + other) / distance), math.acos((radius - other) / distance)]
     with jax.enable_x64(True):
-        irradiance = jax.jit(scenes.sphere_irradiance)
         parts = [integrate.quad(ring, a, b, epsabs=1e-12)[0] for a, b in itertools.pairwise(ends)]
     close(sum(parts), scenes.two_spheres(radius, other, distance).exact)
 
 
 def test_round_table_against_quadrature_of_the_point_formula():
+    def ring(r):
+        return 2 * r * float(irradiance(1.0, 0.5, math.hypot(1.2, r), math.atan(r / 1.2))) / 0.64
+
     with jax.enable_x64(True):
-        irradiance = jax.jit(scenes.sphere_irradiance)
-
-        def ring(r):
-            return 2 * r * float(irradiance(1.0, 0.5, math.hypot(1.2, r), math.atan(r / 1.2))) / 0.64
-
         mean, _ = integrate.quad(ring, 0.0, 0.8, epsabs=1e-13)
     close(mean, scenes.sphere_over_disk().exact)
 
@@ -212,11 +213,9 @@ def test_two_surfaces_against_a_linear_system():
 
 
 def test_empty_room_at_equilibrium_against_radiosity():
-    with jax.enable_x64(True):
-        facing = float(view_factors.facing_rectangles_factor(1.0, 1.0, 1.0))
-        sides = float(view_factors.standing_rectangle_factor(1.0, 1.0, 1.0))
+    facing, standing = unit_square_factors()
     opposite = np.roll(np.eye(6), 3, axis=1)
-    matrix = facing * opposite + sides * (1 - np.eye(6) - opposite)
+    matrix = facing * opposite + standing * (1 - np.eye(6) - opposite)
     albedo = np.array(scenes.kirchhoff_room().arguments["albedos"])
     radiance = np.linalg.solve(np.eye(6) - albedo[:, None] * matrix, 1.0 - albedo)
     close(radiance, np.ones(6))
@@ -227,8 +226,8 @@ def test_mean_irradiance_in_the_sphere_against_quadrature():
     kernel, _ = integrate.quad(lambda t: 2 * math.pi * math.sin(t) / (math.pi * 4), 0, 1.1, epsabs=1e-14)
     close(scenes.lit_cap(2.0, 0.4, 1.1, bounces=1).exact, 0.4 * 2.0 * kernel)
     z, weight = nodes(200, -1.0, 1.0)
-    irradiance = 10 / (4 * math.pi) * (2 - 0.8 * z) / (4 + 0.64 - 3.2 * z) ** 1.5
-    close(weight @ irradiance / 2, 10 / (4 * math.pi * 4))
+    at_wall = 10 / (4 * math.pi) * (2 - 0.8 * z) / (4 + 0.64 - 3.2 * z) ** 1.5
+    close(weight @ at_wall / 2, 10 / (4 * math.pi * 4))
     direct = scenes.lamp_in_sphere(bounces=1)
     close(direct.exact, 0.6 / math.pi * irradiance_at_equator())
     assert direct.exact_variance == 0.0

@@ -51,7 +51,6 @@ def check(integrand, scene, n=None):
 
 
 OTHERS = {  # unlike the default scenes in their numbers
-    "Kirchhoff room, uniform directions": lambda: scenes.kirchhoff_room(2.0, bounces=2, directions="uniform"),
     "close spheres, uniform directions": lambda: scenes.concentric_spheres(0.9, 1.0, bounces=2, directions="uniform"),
     "third bounce": lambda: scenes.lit_cap(3.0, 0.75, 2.0, bounces=3, fewest=3),
     "lamp near the wall": lambda: scenes.lamp_in_sphere(offset=1.5, albedo=0.8, bounces=3),
@@ -71,6 +70,7 @@ def test_estimator(name):
 
 
 SLOWLY = {  # more of them, and some of larger variance
+    "Kirchhoff room, uniform directions": lambda: scenes.kirchhoff_room(2.0, bounces=2, directions="uniform"),
     "Kirchhoff room, one bounce": lambda: scenes.kirchhoff_room(bounces=1),
     "inner sphere shines": lambda: scenes.concentric_spheres(outer_emission=0.0, bounces=3),
     "plates, uniform directions": lambda: scenes.parallel_plates(bounces=2, directions="uniform"),
