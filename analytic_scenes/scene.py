@@ -27,11 +27,11 @@ class AnalyticScene:
     derivatives     true derivatives of ``exact``, visibility included, keyed by the argument of the function that made
                     the scene: a float, or an array of shape (3,) for a vector argument
     source          where the closed form comes from
-    formula         the closed form in ``jax.numpy``: ``formula(**arguments)`` is ``exact``; None where there is only text
+    formula         the closed form in ``jax.numpy``: ``formula(**arguments)`` is ``exact``; None if only text
     arguments       what ``formula`` takes: scalars and arrays of shape (3,)
     geometry        what stands where, in a sentence or two
     tolerance       relative accuracy of ``exact``: the rounding of the closed form in float64
-    view            a function without arguments that returns (scene, camera) for a picture; None where nothing is to see
+    view            a function without arguments that returns (scene, camera) for a picture; None if there is none
     """
 
     name: str

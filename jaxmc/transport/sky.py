@@ -48,8 +48,8 @@ class GradientSky:
             least, z = _least(np.polynomial.Polynomial(channel), -1.0 if self.ground is None else 0.0)
             if least < -1e-12 * max(map(abs, channel)):
                 raise ValueError(
-                    f"GradientSky radiance must not be negative, and it is {least:g} where the cosine of the angle from "
-                    f"the zenith is {z:g}; raise the constant coefficient, or give a ground if that is below the horizon"
+                    f"GradientSky radiance must not be negative, and it is {least:g} where the cosine of the angle "
+                    f"from the zenith is {z:g}; raise the constant coefficient, or give a ground if that is below it"
                 )
 
     def colors(self) -> list[tuple]:
@@ -77,7 +77,8 @@ def table_of_sky(sky, color: Callable):
     while len(coefficients) > 1 and _is_black(coefficients[-1]):
         coefficients.pop()
     ground = None if sky.ground is None else as_color("ground", sky.ground)
-    if len(coefficients) == 1 and (ground is None or is_concrete((ground, coefficients)) and ground == coefficients[0]):
+    is_same = ground is None or (is_concrete((ground, coefficients)) and ground == coefficients[0])
+    if len(coefficients) == 1 and is_same:
         return table_of_sky(coefficients[0], color)
     up = as_unit("up", sky.up)
     sparse = Vec3(*(None if is_concrete(c) and c == 0.0 else c for c in up))
@@ -85,7 +86,7 @@ def table_of_sky(sky, color: Callable):
 
 
 def sky_radiance(sky, direction: Vec3):
-    """Return the radiance of a sky, as ``table_of_sky`` made it, that a ray along the unit vector ``direction`` meets."""
+    """Return the radiance of a sky, as ``table_of_sky`` made it, in the direction of a unit vector."""
     if not isinstance(sky, ZenithPolynomial):
         return sky
     z = sum(a * b for a, b in zip(sky.up, direction) if a is not None)
