@@ -9,6 +9,7 @@ where one image may hide another.
 import functools
 import itertools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -29,10 +30,8 @@ def between_mirrors_irradiance(emission, reflectance, radius, offset, height, ga
 
     The image by k reflections is at x = 2 k gap + (-1)^k offset, for k < 0 too.
     """
-    return sum(
-        reflectance ** abs(k) * sphere_at_irradiance(emission, jnp.stack([x, 0.0, height]), radius)
-        for k, x in _series(offset, gap, bounces)
-    )
+    images = [(abs(k), jnp.stack([x, 0.0, height])) for k, x in _series(offset, gap, bounces)]
+    return _sum_of_images(emission, reflectance, radius, images)
 
 
 def in_corner_irradiance(emission, reflectance, radius, center, distances):
@@ -41,10 +40,8 @@ def in_corner_irradiance(emission, reflectance, radius, center, distances):
     Seven images, by one, two and three reflections.
     """
     center = jnp.asarray(center, float)
-    return sum(
-        reflectance ** sum(turns) * sphere_at_irradiance(emission, _corner_image(center, distances, turns), radius)
-        for turns in itertools.product((0, 1), repeat=3)
-    )
+    images = [(sum(t), _corner_image(center, distances, t)) for t in itertools.product((0, 1), repeat=3)]
+    return _sum_of_images(emission, reflectance, radius, images)
 
 
 def sphere_light_between_mirrors(
@@ -154,6 +151,13 @@ def _irradiance(emission, center, radius):
 def _between(bounces):
     """Return the closed form for a number of reflections; always the same function, so that it is compiled once."""
     return functools.partial(between_mirrors_irradiance, bounces=bounces)
+
+
+def _sum_of_images(emission, reflectance, radius, images):
+    """Irradiance from spheres given as (number of reflections, centre)."""
+    reflections, centers = zip(*images)
+    each = jax.vmap(sphere_at_irradiance, (None, 0, None))(emission, jnp.stack(centers), radius)
+    return jnp.sum(reflectance ** np.array(reflections, float) * each)
 
 
 def _series(offset, gap, bounces):

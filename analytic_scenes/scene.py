@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxmc as mc
+from jaxmc.backend import QUICK_OPTIONS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,8 +95,7 @@ def _as_arrays(arguments):
     return {name: jnp.asarray(value, float) for name, value in arguments.items()}
 
 
-# Formulas run once or twice: better compiled fast than fast.
-_compile = functools.partial(jax.jit, static_argnums=0, compiler_options={"xla_backend_optimization_level": 0})
+_compile = functools.partial(jax.jit, static_argnums=0, compiler_options=QUICK_OPTIONS)
 
 
 @_compile

@@ -20,7 +20,8 @@ ORIGIN = (0.0, 0.0, 0.0)
 def mean_irradiance(scene: mc.Scene, corner, edge_u, edge_v, **strategy) -> mc.Integrand:
     """Return the mean irradiance on a parallelogram, as an integrand; options of ``mc.irradiance``.
 
-    The receiver faces along cross(edge_u, edge_v) and is no part of the scene. One that lies on a primitive, to rounding, is not shadowed by it.
+    The receiver faces along cross(edge_u, edge_v) and is no part of the scene. One that lies on a primitive, to
+    rounding, is not shadowed by it.
     """
     at_point = mc.irradiance(scene, ORIGIN, UP, **strategy)
     return _placed(at_point, at_point.dim, on_parallelogram, (corner, edge_u, edge_v), "receiver")

@@ -8,7 +8,12 @@ import jax
 import jax.numpy as jnp
 
 from analytic_scenes.caps import caps_irradiance, sphere_caps
-from analytic_scenes.irradiance import polygon_irradiance, rectangle_solid_angle, sphere_irradiance
+from analytic_scenes.irradiance import (
+    polygon_irradiance,
+    rectangle_solid_angle,
+    sphere_at_irradiance,
+    sphere_irradiance,
+)
 
 UP = (0.0, 0.0, 1.0)
 WHITE = 1.0 / jnp.pi  # radiance of a sky that makes an open receiver's irradiance 1
@@ -35,9 +40,9 @@ def solid_angle_beside_sphere(radius, distance):
 
 def under_two_spheres(center_1, radius_1, center_2, radius_2):
     """Share of the sky under two spheres that may hide each other in part. Source: ``caps_irradiance``."""
-    caps = sphere_caps(center_1, radius_1), sphere_caps(center_2, radius_2)
-    alone = [caps_irradiance(one, jnp.asarray(UP)) for one in caps]
-    return 1.0 - (alone[0] + alone[1] - caps_irradiance(jnp.concatenate(caps), jnp.asarray(UP))) / jnp.pi
+    both = jnp.concatenate([sphere_caps(center_1, radius_1), sphere_caps(center_2, radius_2)])
+    alone = sphere_at_irradiance(WHITE, center_1, radius_1) + sphere_at_irradiance(WHITE, center_2, radius_2)
+    return 1.0 - alone + WHITE * caps_irradiance(both, jnp.asarray(UP))
 
 
 def under_parallelogram(corner, edge_u, edge_v, normal=UP):

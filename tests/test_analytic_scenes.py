@@ -8,7 +8,7 @@ import analytic_scenes as scenes
 import jaxmc as mc
 from jaxmc.testing import SIGMAS, assert_unbiased
 
-MOST_SAMPLES = 2**27
+MOST_SAMPLES = 2**30
 PILOT = 2**14
 
 
@@ -32,7 +32,14 @@ def check(scene, rtol):
         assert abs(estimate.variance - scene.exact_variance) <= SIGMAS * variance_stderr
 
 
-@pytest.mark.parametrize("scene", scenes.ALL, ids=lambda scene: scene.name)
+QUICK = "cube furnace", "sphere furnace", "sphere light,", "rectangle light,", "product of"  # names that begin so
+DEFAULTS = [
+    pytest.param(scene, id=scene.name, marks=() if scene.name.startswith(QUICK) else pytest.mark.slow)
+    for scene in scenes.ALL
+]
+
+
+@pytest.mark.parametrize("scene", DEFAULTS)
 def test_default_scene(scene):
     if scene.exact_variance == 0.0:
         estimate = mc.integrate(scene.integrand, n=PILOT, key=1)

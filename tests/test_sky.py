@@ -38,7 +38,7 @@ def test_default_zenith_is_that_of_the_camera():
     assert seen(mc.GradientSky((0.5, 0.5)), (0, 1, 0)) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("directions", ["cosine", "uniform"])
+@pytest.mark.parametrize("directions", ["cosine", pytest.param("uniform", marks=pytest.mark.slow)])
 def test_irradiance_of_an_overcast_sky(directions):
     overcast = mc.Scene([], sky=mc.GradientSky((1.0, 2.0), up=Z, ground=0.0))
     integrand = mc.irradiance(overcast, (0, 0, 0), Z, bounces=0, directions=directions)
