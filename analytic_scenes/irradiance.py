@@ -23,6 +23,13 @@ def sphere_irradiance(emission, radius, distance, theta) -> jax.Array:
     return emission * _sphere_factor(radius / distance, jnp.cos(theta))
 
 
+def sphere_at_irradiance(emission, center, radius, normal=(0.0, 0.0, 1.0)) -> jax.Array:
+    """Irradiance from a sphere by its ``center``, shape (3,); ``normal`` has any length. See ``sphere_irradiance``."""
+    center, n = jnp.asarray(center, float), jnp.asarray(normal, float)
+    distance = jnp.sqrt(center @ center)
+    return emission * _sphere_factor(radius / distance, center @ n / (distance * jnp.sqrt(n @ n)))
+
+
 def polygon_irradiance(emission, vertices, normal) -> jax.Array:
     """Irradiance from a convex polygon that emits on both sides, clipped at the horizon of the receiver.
 
@@ -81,19 +88,37 @@ def standing_rectangle_irradiance(emission, width, height, distance) -> jax.Arra
     return emission / 2 * (jnp.arctan(width / distance) - distance / slant * jnp.arctan(width / slant))
 
 
+def parallelogram_solid_angle(corner, edge_u, edge_v) -> jax.Array:
+    """Solid angle [sr] of a parallelogram seen from the origin, from either side: two triangles.
+
+    Source: van Oosterom and Strackee, The solid angle of a plane triangle (1983).
+    """
+    corner, u, v = (jnp.asarray(vector, float) for vector in (corner, edge_u, edge_v))
+    far = corner + u + v
+    return jnp.abs(_triangle_solid_angle(corner, corner + u, far) + _triangle_solid_angle(corner, far, corner + v))
+
+
+def rectangle_solid_angle(x0, x1, y0, y1, height) -> jax.Array:
+    """Solid angle [sr] of the rectangle [x0, x1] x [y0, y1] seen from ``height`` above the origin.
+
+    Source: Khadjavi, Calculation of solid angle subtended by rectangular apertures (1968).
+    """
+
+    def corner(x, y):
+        return jnp.arctan(x * y / (height * jnp.sqrt(x**2 + y**2 + height**2)))
+
+    return corner(x1, y1) - corner(x0, y1) - corner(x1, y0) + corner(x0, y0)
+
+
 def sphere_in_mirror_irradiance(emission, reflectance, radius, center, mirror_distance, mirror_normal) -> jax.Array:
     """Irradiance on a receiver with normal +z from a sphere, directly and by one reflection in a plane mirror.
 
     ``center`` has shape (3,); the mirror is the plane at ``mirror_distance`` from the receiver whose unit normal
     ``mirror_normal`` points to it. Source: method of images, ``sphere_irradiance``.
     """
-
-    def seen(center):
-        distance = jnp.sqrt(center @ center)
-        return emission * _sphere_factor(radius / distance, center[2] / distance)
-
-    center = jnp.asarray(center, float)
-    return seen(center) + reflectance * seen(mirror_image(center, mirror_distance, mirror_normal))
+    image = mirror_image(center, mirror_distance, mirror_normal)
+    reflected = sphere_at_irradiance(emission, image, radius)
+    return sphere_at_irradiance(emission, center, radius) + reflectance * reflected
 
 
 def parallelogram_in_mirror_irradiance(
@@ -129,6 +154,13 @@ def _sphere_factor(sin_sigma, cos_theta):
     arc = jnp.arctan2(rim_y, cos_sigma * sin_theta + sin_sigma * cos_theta * cos_phi)
     cut = (jnp.pi - phi) * cos_theta * sin_sigma**2 - cos_sigma * sin_theta * rim_y + arc
     return jnp.where(is_cut, cut, whole)
+
+
+def _triangle_solid_angle(a, b, c):
+    """Signed solid angle of the triangle a b c."""
+    la, lb, lc = (jnp.sqrt(vertex @ vertex) for vertex in (a, b, c))
+    below = la * lb * lc + (a @ b) * lc + (b @ c) * la + (c @ a) * lb
+    return 2 * jnp.arctan2(a @ jnp.cross(b, c), below)
 
 
 def _arc(v, w, n):

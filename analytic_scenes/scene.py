@@ -14,6 +14,7 @@ import numpy as np
 
 import jaxmc as mc
 from analytic_scenes.names import slug
+from jaxmc.backend import QUICK_OPTIONS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,18 +64,54 @@ def value_and_derivatives(
     A formula is compiled once for arguments of the same shapes.
     """
     with jax.enable_x64(True):
-        arguments = {name: jnp.asarray(value, float) for name, value in arguments.items()}
-        value, gradients = _value_and_gradients(formula, arguments, dict(constants or {}))
+        value, gradients = _value_and_gradients(formula, _as_arrays(arguments), dict(constants or {}))
         return float(value), {name: float(g) if g.ndim == 0 else np.asarray(g) for name, g in gradients.items()}
 
 
-# Each formula runs once or twice: compile in a third of the time, without optimisation.
-QUICKLY = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+def value_of(formula: Callable, arguments: Mapping, constants: Mapping | None = None) -> float:
+    """Evaluate ``formula(**arguments, **constants)`` in float64."""
+    with jax.enable_x64(True):
+        return float(_value(formula, _as_arrays(arguments), dict(constants or {})))
 
 
-@functools.partial(jax.jit, static_argnums=0, compiler_options=QUICKLY)
+class Derivatives(Mapping):
+    """The derivative of a closed form with respect to each of ``arguments``, evaluated when one is first asked for.
+
+    Compiling a derivative takes longer than all else that makes a scene.
+    """
+
+    def __init__(self, formula: Callable, arguments: Mapping, constants: Mapping | None = None):
+        self._formula, self._arguments, self._constants = formula, arguments, constants
+
+    @functools.cached_property
+    def _values(self):
+        return value_and_derivatives(self._formula, self._constants, **self._arguments)[1]
+
+    def __getitem__(self, name):
+        return self._values[name]
+
+    def __iter__(self):
+        return iter(self._arguments)
+
+    def __len__(self):
+        return len(self._arguments)
+
+
+def _as_arrays(arguments):
+    return {name: jnp.asarray(value, float) for name, value in arguments.items()}
+
+
+_compile = functools.partial(jax.jit, static_argnums=0, compiler_options=QUICK_OPTIONS)
+
+
+@_compile
 def _value_and_gradients(formula, arguments, constants):
     return jax.value_and_grad(lambda named: formula(**named, **constants))(arguments)
+
+
+@_compile
+def _value(formula, arguments, constants):
+    return formula(**arguments, **constants)
 
 
 def variance_and_kurtosis(moments: Sequence[float]) -> tuple[float, float | None]:

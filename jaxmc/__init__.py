@@ -50,5 +50,6 @@ from .transport.paths import clamp_luminance as clamp_luminance
 from .transport.primitives import Quad as Quad
 from .transport.primitives import Sphere as Sphere
 from .transport.scene import Scene as Scene
+from .transport.sky import GradientSky as GradientSky
 
 __version__ = "0.1.0"

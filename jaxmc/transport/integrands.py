@@ -19,7 +19,7 @@ from .camera import Camera
 from .hits import Hit, Surface, closest_hit, primitive_at, surface_at
 from .materials import luminance
 from .paths import PathState, Strategy, black, finish, follow, scatter, trace
-from .primitives import as_vec3, is_concrete
+from .primitives import as_unit, as_vec3
 from .scene import Scene
 from .vec import Vec3, normalize
 
@@ -60,7 +60,7 @@ def radiance(scene: Scene, origin, direction, *, bounces, directions="cosine", l
     """
     _check(scene, Scene, "scene", "mc.Scene([...])")
     strategy = Strategy(bounces, directions, lights, clamp)
-    return _integrand(_Ray(strategy), scene, (as_vec3("origin", origin), _unit("direction", direction)), ())
+    return _integrand(_Ray(strategy), scene, (as_vec3("origin", origin), as_unit("direction", direction)), ())
 
 
 def irradiance(scene: Scene, point, normal, *, bounces, directions="cosine", lights="mis", clamp=None) -> Integrand:
@@ -71,7 +71,7 @@ def irradiance(scene: Scene, point, normal, *, bounces, directions="cosine", lig
     """
     _check(scene, Scene, "scene", "mc.Scene([...])")
     strategy = Strategy(bounces, directions, lights, clamp)
-    return _integrand(_Receiver(strategy), scene, (as_vec3("point", point), _unit("normal", normal)), (), extra=1)
+    return _integrand(_Receiver(strategy), scene, (as_vec3("point", point), as_unit("normal", normal)), (), extra=1)
 
 
 def render(
@@ -223,14 +223,6 @@ def _integrand(fn, scene, params, labels, extra=0):
 def _check(value, kind, name, cure):
     if not isinstance(value, kind):
         raise ValueError(f"{name} must be a {kind.__name__}, made by {cure}, got {value!r}")
-
-
-def _unit(name, value):
-    v = as_vec3(name, value)
-    if is_concrete(v) and not sum(c * c for c in v) > 0.0:
-        raise ValueError(f"{name} must not be zero, got {value!r}")
-    length = (v.x * v.x + v.y * v.y + v.z * v.z) ** 0.5
-    return v / length
 
 
 def _as_image(m: MomentsResult, camera) -> MomentsResult:

@@ -21,6 +21,7 @@ from .materials import luminance, pdf_diffuse, power_heuristic, reflect, sample_
 from .primitives import is_number
 from .scene import Scene
 from .shapes import LightSample, QuadLight, Ray
+from .sky import sky_radiance
 from .vec import Vec3, dot, where
 
 POLAR, AZIMUTH = "direction: polar", "direction: azimuth"
@@ -155,7 +156,7 @@ def scatter(scene, strategy, u, first, surface: Surface, path: PathState, anywhe
     ray = shapes.ray(surface.point, wi)
     hit = closest_hit(scene, ray, surface.primitive)
     if scene.sky is not None:
-        radiance = radiance + where(alive & (hit.primitive < 0), beta * scene.sky, black(scene))
+        radiance = radiance + where(alive & (hit.primitive < 0), beta * sky_radiance(scene.sky, wi), black(scene))
     hit = hit._replace(primitive=jnp.where(alive, hit.primitive, -1))
     scattered = None if path.scattered is None else path.scattered | ~mirror
     if scene.lights and not (strategy.lights == "nee" and not scene.mirrors):
@@ -184,7 +185,7 @@ def trace(scene: Scene, strategy: Strategy, u, first: int, start: Ray, observe=N
     seen = scene.lights and not strategy.hide_emitters
     radiance = emission_toward(scene, start, hit, None) if seen else black(scene)
     if scene.sky is not None:
-        radiance = radiance + where(hit.primitive < 0, scene.sky, black(scene))
+        radiance = radiance + where(hit.primitive < 0, sky_radiance(scene.sky, start.direction), black(scene))
     scattered = jnp.zeros((), bool) if scene.mirrors and strategy.hide_emitters else None
     state = PathState(start, hit, one, radiance, scattered)
     return follow(scene, strategy, u, first, state, strategy.bounces, observe)

@@ -97,16 +97,25 @@ def as_vec3(name: str, value) -> Vec3:
     return Vec3(*(value[k] if not is_concrete(value) else float(np.asarray(value)[k]) for k in range(3)))
 
 
-def as_color(name: str, value) -> tuple:
-    """Return a radiance or reflectance as (r, g, b), or raise ``ValueError`` naming ``name``."""
+def as_unit(name: str, value) -> Vec3:
+    """Return three numbers as a ``Vec3`` of unit length, or raise ``ValueError``."""
+    v = as_vec3(name, value)
+    if is_concrete(v) and not sum(c * c for c in v) > 0.0:
+        raise ValueError(f"{name} must not be zero, got {value!r}")
+    length = (v.x * v.x + v.y * v.y + v.z * v.z) ** 0.5
+    return v / length
+
+
+def as_color(name: str, value, signed: bool = False) -> tuple:
+    """Return a radiance or reflectance as (r, g, b), or raise ``ValueError`` naming ``name``; ``signed``: any sign."""
     shape = shape_of(value)
     if shape not in ((), (3,)):
         raise ValueError(f"{name} must be a number or an RGB triple, got {value!r}")
     if not is_concrete(value):
         return (value,) * 3 if shape == () else tuple(value[k] for k in range(3))
     color = np.broadcast_to(_numbers(name, value), 3)
-    if not (np.isfinite(color).all() and (color >= 0.0).all()):
-        raise ValueError(f"{name} must be finite and not negative, got {value!r}")
+    if not (np.isfinite(color).all() and (signed or (color >= 0.0).all())):
+        raise ValueError(f"{name} must be finite{'' if signed else ' and not negative'}, got {value!r}")
     return tuple(float(c) for c in color)
 
 

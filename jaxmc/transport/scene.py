@@ -18,6 +18,7 @@ import numpy as np
 from .materials import Mirror
 from .primitives import Quad, Sphere, as_color, as_vec3, is_concrete, reflectance_of
 from .shapes import QuadLight, QuadShape, SphereLight, SphereShape
+from .sky import GradientSky, table_of_sky
 from .vec import Vec3, cross, dot
 
 SELECT_LIMIT = 24  # look a value up by comparing below this many primitives, by gathering above
@@ -62,7 +63,8 @@ class Scene:
 
     Args:
         primitives: ``Sphere`` and ``Quad`` objects. Those with an emission above 0 are lights.
-        sky: radiance that arrives from outside, the same from everywhere: a number, an RGB triple or None for black.
+        sky: radiance that arrives from outside, the same from everywhere: a number, an RGB triple or None for black; or
+            a ``GradientSky``.
 
     Attributes:
         channels: 1 where every colour is grey, else 3.
@@ -102,8 +104,9 @@ class Scene:
         number = partial(jax.tree.map, _number)
         colors = [as_color("reflectance", reflectance_of(p.material)[1]) for p in primitives]
         radiances = [as_color("emission", 0.0 if p.emission is None else p.emission) for p in primitives]
-        sky = None if sky is None else as_color("sky", sky)
-        everything = [*colors, *radiances, *([sky] if sky else [])]
+        if not isinstance(sky, GradientSky | None):
+            sky = as_color("sky", sky)
+        everything = [*colors, *radiances, *_colors_of(sky)]
         self.channels = 1 if all(is_concrete(c) and c[0] == c[1] == c[2] for c in everything) else 3
         self.shapes = tuple("quad" if isinstance(p, Quad) else "sphere" for p in primitives)
         self.lights = tuple(i for i, c in enumerate(radiances) if not (is_concrete(c) and max(c) == 0.0))
@@ -127,7 +130,7 @@ class Scene:
         self.reflectance = number(_lookups([self._color(c) for c in colors]))
         lights = [frames[i] or SphereLight(*_sphere_shape(primitives[i]), primitives[i].inward) for i in self.lights]
         self.emitters = number([(light, self._color(radiances[i])) for i, light in zip(self.lights, lights)])
-        self.sky = number(self._color(sky)) if sky and not (is_concrete(sky) and max(sky) == 0.0) else None
+        self.sky = number(table_of_sky(sky, self._color))
 
         self.present = number(1.0)  # a 1 that the compiler does not know, see paths.apart
 
@@ -151,6 +154,10 @@ class Scene:
     def __repr__(self):
         count = {kind: self.shapes.count(kind) for kind in ("quad", "sphere")}
         return f"Scene({count}, lights={self.lights}, mirrors={self.mirrors}, channels={self.channels})"
+
+
+def _colors_of(sky):
+    return sky.colors() if isinstance(sky, GradientSky) else [] if sky is None else [sky]
 
 
 def _number(x):

@@ -1,0 +1,130 @@
+"""Scenes of light that arrives at one point: a receiver at the origin that is no part of the scene.
+
+It faces +z unless a scene says otherwise. Lights and blockers are black, so nothing else reflects. A view shows what
+stands around, with a small plate where the receiver is.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+import jaxmc as mc
+from analytic_scenes import laws
+from analytic_scenes.scene import AnalyticScene, Derivatives, value_of
+
+UP = (0.0, 0.0, 1.0)
+ORIGIN = (0.0, 0.0, 0.0)
+BLACK = mc.Diffuse(0.0)
+SPHERE_SOURCE = "Snyder (1996); Lagarde and de Rousiers, Moving Frostbite to PBR (2014), section 4.7"
+POLYGON_SOURCE = "Lambert, Photometria (1760), clipped at the horizon"
+
+
+def receiver_scene(
+    name: str,
+    formula: Callable,
+    arguments: Mapping,
+    primitives,
+    source: str,
+    *,
+    geometry: str,
+    law: Callable[[float], laws.Law | None],
+    strategy: Mapping,
+    constants: Mapping | None = None,
+    normal=UP,
+    sky=None,
+    view=None,
+) -> AnalyticScene:
+    """Return the irradiance at the origin; ``law(exact)`` is the law of one sample, ``view`` a function or None.
+
+    ``constants`` are arguments of ``formula`` by which it is not differentiated.
+    """
+    integrand = mc.irradiance(mc.Scene(primitives, sky), ORIGIN, normal, **strategy)
+    view = view or plate_view(primitives, normal)
+    return closed_form_scene(
+        name, formula, arguments, integrand, source, geometry=geometry, law=law, constants=constants, view=view
+    )
+
+
+def closed_form_scene(
+    name, formula, arguments, integrand, source, *, geometry, law, view, constants=None, tolerance=1e-12
+) -> AnalyticScene:
+    """Return the record of any integrand whose integral is ``formula``; arguments as in ``receiver_scene``."""
+    exact = value_of(formula, arguments, constants)
+    known = law(exact)
+    return AnalyticScene(
+        name=name,
+        integrand=integrand,
+        exact=exact,
+        exact_variance=known and known.variance,
+        exact_kurtosis=known and known.kurtosis,
+        derivatives=Derivatives(formula, arguments, constants),
+        source=source,
+        formula=formula,
+        arguments={**arguments, **(constants or {})},
+        geometry=geometry,
+        tolerance=tolerance,
+        view=view,
+    )
+
+
+def law_of_hits(*lights: tuple[float, float]) -> laws.Law:
+    """Return the law by cosine-distributed directions of lights given as (irradiance, radiance).
+
+    A sample is pi times the radiance that its ray meets.
+    """
+    met = [(irradiance / (math.pi * radiance), math.pi * radiance) for irradiance, radiance in lights if radiance > 0]
+    return laws.law_of_values(*([column] for column in zip(*met))) if met else laws.Law(0.0, None)
+
+
+def law_of_lamp(strategy: Mapping, exact: float, emission: float, nodes, normal=UP) -> laws.Law | None:
+    """Return the law of one light of which all is seen, ``nodes`` being its directions.
+
+    Without nodes, where the light is cut or hidden, only the law by cosine-distributed directions is known.
+    """
+    if strategy["lights"] == "none" and strategy["directions"] == "cosine":
+        return law_of_hits((exact, emission))
+    if nodes is None or strategy["lights"] == "mis":
+        return None
+    if strategy["lights"] == "nee":
+        return laws.law_of_light(np.asarray(normal), nodes, emission)
+    return laws.law_of_directions(strategy["directions"], np.asarray(normal), [(nodes, emission)])
+
+
+def described(strategy: Mapping) -> str:
+    """Return the words for a strategy that a scene's name ends with."""
+    return f"lights={strategy['lights']}" if strategy["lights"] != "none" else f"{strategy['directions']} directions"
+
+
+def plate_view(primitives, normal=UP, size: float = 3.0, sky: float = 0.2) -> Callable:
+    """Return a view of primitives from the side, with a plate where the receiver is; ``size``: what is to be seen."""
+
+    def view():
+        n = unit(normal)
+        u = 0.1 * size * unit(np.cross(n, np.eye(3)[np.argmin(np.abs(n))]))
+        v = np.cross(n, u)
+        plate = mc.Quad(-0.5 * (u + v), u, v, mc.Diffuse(0.7))
+        camera = mc.PinholeCamera(
+            (0.6 * size, -2.2 * size, 1.1 * size), (0.0, 0.0, 0.3 * size), up=UP, fov=45.0, width=128, height=96
+        )
+        return mc.Scene([*primitives, plate], sky), camera
+
+    return view
+
+
+def unit(vector) -> np.ndarray:
+    return np.asarray(vector, float) / np.linalg.norm(vector)
+
+
+def vertices(corner, edge_u, edge_v) -> np.ndarray:
+    """Return the outline of a parallelogram, shape (4, 3)."""
+    corner, u, v = (np.asarray(vector, float) for vector in (corner, edge_u, edge_v))
+    return np.stack([corner, corner + u, corner + u + v, corner + v])
+
+
+def black_sphere(center, radius, emission=None) -> mc.Sphere:
+    return mc.Sphere(center, radius, material=BLACK, emission=emission)
+
+
+def black_quad(corner, edge_u, edge_v, emission=None) -> mc.Quad:
+    return mc.Quad(corner, edge_u, edge_v, material=BLACK, emission=emission)

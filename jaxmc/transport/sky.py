@@ -1,0 +1,108 @@
+"""Skies: the radiance that arrives from outside the scene, the same from everywhere or a gradient."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .primitives import as_color, as_unit, is_concrete, shape_of
+from .vec import Vec3, where
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class GradientSky:
+    """A sky whose radiance is a polynomial in z, the cosine of the angle from the zenith.
+
+    z is 1 at the zenith, 0 at the horizon and -1 at the nadir; the radiance is the sum of ``coefficients[k] * z**k``.
+    ``GradientSky((L / 3, 2 * L / 3), ground=0)`` is the overcast sky of Moon and Spencer (1942), later the CIE's, with
+    zenith radiance L; three coefficients make any sky of zonal harmonics up to degree 2.
+
+    Attributes:
+        coefficients: one or more, constant first; each a number or an RGB triple [W/m^2/sr]. They may be negative, the
+            radiance may not.
+        up: points to the zenith; any length.
+        ground: radiance from below the horizon, a number or an RGB triple. None: the polynomial holds there too.
+
+    ``jax.grad`` is right for the coefficients and the ground. For ``up`` it leaves out what the moving edge of the
+    ground adds.
+
+    Raises:
+        ValueError: values of the wrong shape, that are not finite, or that make the radiance negative somewhere.
+    """
+
+    coefficients: Any
+    up: Any = (0.0, 1.0, 0.0)
+    ground: Any = None
+
+    def __post_init__(self):
+        if shape_of(self.coefficients) == () or len(self.coefficients) == 0:
+            raise ValueError(f"GradientSky coefficients must be a list of one or more, got {self.coefficients!r}")
+        as_unit("GradientSky up", self.up)
+        polynomials = [as_color("GradientSky coefficient", c, signed=True) for c in self.coefficients]
+        if self.ground is not None:
+            as_color("GradientSky ground", self.ground)
+        if not is_concrete(polynomials):
+            return
+        for channel in zip(*polynomials):
+            least, z = _least(np.polynomial.Polynomial(channel), -1.0 if self.ground is None else 0.0)
+            if least < -1e-12 * max(map(abs, channel)):
+                raise ValueError(
+                    f"GradientSky radiance must not be negative, and it is {least:g} where the cosine of the angle "
+                    f"from the zenith is {z:g}; raise the constant coefficient, or give a ground if that is below it"
+                )
+
+    def colors(self) -> list[tuple]:
+        """Return all its values as (r, g, b)."""
+        ground = [] if self.ground is None else [as_color("ground", self.ground)]
+        return [*(as_color("coefficient", c, signed=True) for c in self.coefficients), *ground]
+
+
+class ZenithPolynomial(NamedTuple):
+    """A gradient as the kernel uses it; components of ``up`` that are zero are None, ``ground`` may be None."""
+
+    up: Vec3
+    coefficients: tuple
+    ground: Any
+
+
+def table_of_sky(sky, color: Callable):
+    """Return a sky as the kernel uses it: None where it is black, one radiance where it is the same from everywhere.
+
+    ``sky`` is None, an (r, g, b) or a ``GradientSky``; ``color`` turns an (r, g, b) into the scene's channels.
+    """
+    if not isinstance(sky, GradientSky):
+        return None if sky is None or _is_black(sky) else color(sky)
+    coefficients = [as_color("coefficient", c, signed=True) for c in sky.coefficients]
+    while len(coefficients) > 1 and _is_black(coefficients[-1]):
+        coefficients.pop()
+    ground = None if sky.ground is None else as_color("ground", sky.ground)
+    is_same = ground is None or (is_concrete((ground, coefficients)) and ground == coefficients[0])
+    if len(coefficients) == 1 and is_same:
+        return table_of_sky(coefficients[0], color)
+    up = as_unit("up", sky.up)
+    sparse = Vec3(*(None if is_concrete(c) and c == 0.0 else c for c in up))
+    return ZenithPolynomial(sparse, tuple(map(color, coefficients)), None if ground is None else color(ground))
+
+
+def sky_radiance(sky, direction: Vec3):
+    """Return the radiance of a sky, as ``table_of_sky`` made it, in the direction of a unit vector."""
+    if not isinstance(sky, ZenithPolynomial):
+        return sky
+    z = sum(a * b for a, b in zip(sky.up, direction) if a is not None)
+    value = sky.coefficients[-1]
+    for coefficient in sky.coefficients[-2::-1]:
+        value = value * z + coefficient
+    return value if sky.ground is None else where(z > 0.0, value, sky.ground)
+
+
+def _is_black(color):
+    return is_concrete(color) and not any(color)
+
+
+def _least(polynomial, low):
+    """Return the least value of a polynomial on [low, 1] and where it is."""
+    turns = polynomial.deriv().roots()
+    inside = turns.real[(abs(turns.imag) < 1e-12) & (turns.real > low) & (turns.real < 1.0)]
+    points = np.array([low, *inside, 1.0])
+    return min(zip(polynomial(points), points))
