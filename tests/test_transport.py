@@ -217,7 +217,7 @@ def test_frames_are_orthonormal_at_every_normal():
 def light_samples(primitive, point, n=200_000):
     """Return samples of a light from a point, the distance that a ray finds, and 1 / density of the direction."""
     scene = mc.Scene([primitive])
-    (light, _), origin = scene.emitters[0], Vec3(*map(jnp.asarray, np.asarray(point, float)))
+    (light, _), origin = scene.emitters[0], Vec3(*map(jnp.asarray, scene.local(np.asarray(point, float))))
 
     @jax.jit
     @jax.vmap

@@ -123,7 +123,7 @@ def _replay(integrand, tables, seed, words, pixels, sampler):
     def one(words, pixel):
         scene, camera = integrand.params
         u = sampler.point(seed, Index(words[0], words[1]), *tables)
-        start = integrand.fn.start(u, camera, pixel)
+        start = integrand.fn.start(u, scene, camera, pixel)
         radiance, seen = trace(scene, integrand.fn.strategy, u, 2, start, observe)
         direct, _ = trace(scene, integrand.fn.strategy.without_bounces(), u, 2, start)
         value = jnp.stack(radiance) if isinstance(radiance, Vec3) else radiance
@@ -140,7 +140,7 @@ def _path(scene, camera, index, pixel, value, direct, events) -> Path:
             break
         kind = "mirror" if primitive in scene.mirrors else "diffuse"
         total, met = float(events["radiance"][k]), _met(scene, int(events["next"][k]))
-        point, normal = events["point"][k], events["normal"][k]
+        point, normal = events["point"][k] + scene.middle, events["normal"][k]
         vertices.append(Vertex(kind, primitive, point, normal, throughput, total - collected, met))
         throughput, collected = float(events["throughput"][k]), total
     end = vertices[-1].met if vertices else ("light or sky" if direct > 0.0 else "nothing")

@@ -1,15 +1,16 @@
 """Where a ray ends, what stands in its way, and the surface that it meets."""
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from . import shapes
+from .derivatives import root
+from .primitives import is_concrete
 from .scene import Scene
 from .shapes import Ray
-from .vec import Vec3, dot, smaller, where
+from .vec import Vec3, dot, larger, smaller, where
 
 
 class Hit(NamedTuple):
@@ -45,8 +46,29 @@ def closest_hit(scene: Scene, ray: Ray, own=-1) -> Hit:
 
 def _distance(scene, i, ray, own):
     if scene.shapes[i] == "quad":
-        return shapes.intersect_quad(scene.quads[i], ray, own == i)
-    return shapes.intersect_sphere(scene.spheres[i], ray, own == i)
+        return shapes.intersect_quad(scene.quads[i], ray, is_same(scene, own, i))
+    return shapes.intersect_sphere(scene.spheres[i], ray, is_same(scene, own, i))
+
+
+def is_same(scene, own, i):
+    """Return whether primitive ``own`` is ``i`` or lies on the same plane or sphere."""
+    same = own == i
+    for twin in scene.twins[i]:
+        same = same | (own == twin)
+    return same
+
+
+def approach(scene: Scene, ray: Ray) -> tuple[Ray, Any]:
+    """Return the ray from a start near the scene, and how far that is along it.
+
+    The digits that a far start costs are then lost once, and alike for all primitives: none slips between them.
+    """
+    squared = dot(ray.origin, ray.origin)
+    if is_concrete((squared, scene.reach)):
+        ahead = max(float(squared) ** 0.5 - 2.0 * float(scene.reach), 0.0)
+    else:
+        ahead = larger(root(squared) - 2.0 * scene.reach, 0.0)
+    return Ray(ray.origin + ray.direction * ahead, ray.direction, ray.inverse), ahead
 
 
 def primitive_at(scene: Scene, point):
@@ -59,6 +81,10 @@ def primitive_at(scene: Scene, point):
     return found
 
 
+def _at(table, i):
+    return jax.tree.map(lambda one: one.at(i), table, is_leaf=lambda x: hasattr(x, "group"))
+
+
 def unoccluded(scene: Scene, ray: Ray, length, own, target, anywhere=False):
     """Return whether no primitive but ``own`` and ``target`` cuts the first ``length`` of the ray.
 
@@ -66,14 +92,15 @@ def unoccluded(scene: Scene, ray: Ray, length, own, target, anywhere=False):
     """
     free = True
     for i in range(scene.size) if anywhere else scene.casters:
-        if scene.lights == (i,):
+        targets = [light for light in scene.lights if light == i or light in scene.twins[i]]
+        if targets and scene.lights == (targets[0],):
             continue  # the only light is always the target
         if scene.shapes[i] == "quad":
-            blocked = shapes.intersect_quad(scene.quads[i], ray, own == i) < length
+            blocked = shapes.intersect_quad(scene.quads[i], ray, is_same(scene, own, i)) < length
         else:
             empty = i in scene.empty and not anywhere
-            blocked = shapes.sphere_blocks(scene.spheres[i], ray, length, own == i, empty)
-        free = free & ~(blocked & (target != i)) if i in scene.lights else free & ~blocked
+            blocked = shapes.sphere_blocks(scene.spheres[i], ray, length, is_same(scene, own, i), empty)
+        free = free & ~(blocked & ~is_same(scene, target, i)) if targets else free & ~blocked
     return free
 
 
@@ -81,14 +108,17 @@ def surface_at(scene: Scene, ray: Ray, hit: Hit) -> Surface:
     """Return the surface that a ray has hit."""
     i = hit.primitive
     point = ray.origin + ray.direction * jnp.where(i >= 0, hit.distance, 0.0)
-    at = partial(jax.tree.map, lambda table: table.at(i), is_leaf=lambda x: hasattr(x, "group"))
-    offset = point - at(scene.anchor)
-    normal = at(scene.normal)
+    anchor, normal = _at(scene.anchor, i), _at(scene.normal, i)
+    offset = point - anchor
+    if scene.tight:
+        # Draw the hit onto its plane.
+        offset = offset - normal * dot(normal, offset)
+        point = anchor + offset
+    # Draw the hit into its quad by the rounding error, along the quad, so that it lies within neighbouring walls.
+    point = point - offset * _at(scene.inset, i)
     if scene.inverse_radius is not None:
         # One Newton step for 1 / |offset| from 1 / radius; inverse_radius is 0 on quads and negative where the
         # normal points inward.
-        inverse = at(scene.inverse_radius)
+        inverse = _at(scene.inverse_radius, i)
         normal = normal + offset * (inverse * (1.5 - 0.5 * dot(offset, offset) * inverse * inverse))
-    # Draw the hit into its quad by the rounding error, along the quad, so that it lies within neighbouring walls.
-    point = point - offset * at(scene.inset)
-    return Surface(point, where(dot(normal, ray.direction) > 0.0, -normal, normal), at(scene.reflectance), i)
+    return Surface(point, where(dot(normal, ray.direction) > 0.0, -normal, normal), _at(scene.reflectance, i), i)

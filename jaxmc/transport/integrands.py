@@ -16,12 +16,14 @@ from ..integration.moments import Moments, MomentsResult
 from ..integration.samplers import Independent
 from . import shapes
 from .camera import Camera
-from .hits import Hit, Surface, closest_hit, primitive_at, surface_at
+from .hits import Hit, Surface, approach, closest_hit, primitive_at, surface_at
 from .materials import luminance
 from .paths import PathState, Strategy, black, finish, follow, scatter, trace
-from .primitives import as_unit, as_vec3
+from .primitives import as_unit, as_vec3, is_concrete
 from .scene import Scene
-from .vec import Vec3, normalize
+from .vec import Vec3, dot, normalize
+
+FAR = 8.0  # times the size of the scene: from there its rays start nearer
 
 
 def path_integrand(
@@ -50,7 +52,8 @@ def path_integrand(
     _check(scene, Scene, "scene", "mc.Scene([...])")
     _check(camera, Camera, "camera", "mc.PinholeCamera(...)")
     strategy = Strategy(bounces, directions, lights, clamp, hide_emitters)
-    return _integrand(_Film(strategy), scene, (camera,), ("film: x", "film: y"))
+    camera, far = _local(scene, camera)
+    return _integrand(_Film(strategy, far), scene, (camera,), ("film: x", "film: y"))
 
 
 def radiance(scene: Scene, origin, direction, *, bounces, directions="cosine", lights="mis", clamp=None) -> Integrand:
@@ -60,7 +63,9 @@ def radiance(scene: Scene, origin, direction, *, bounces, directions="cosine", l
     """
     _check(scene, Scene, "scene", "mc.Scene([...])")
     strategy = Strategy(bounces, directions, lights, clamp)
-    return _integrand(_Ray(strategy), scene, (as_vec3("origin", origin), as_unit("direction", direction)), ())
+    start = shapes.Ray(scene.local(as_vec3("origin", origin)), as_unit("direction", direction), None)
+    start, _ = approach(scene, start)
+    return _integrand(_Ray(strategy), scene, (start.origin, start.direction), ())
 
 
 def irradiance(scene: Scene, point, normal, *, bounces, directions="cosine", lights="mis", clamp=None) -> Integrand:
@@ -71,7 +76,8 @@ def irradiance(scene: Scene, point, normal, *, bounces, directions="cosine", lig
     """
     _check(scene, Scene, "scene", "mc.Scene([...])")
     strategy = Strategy(bounces, directions, lights, clamp)
-    return _integrand(_Receiver(strategy), scene, (as_vec3("point", point), as_unit("normal", normal)), (), extra=1)
+    point = scene.local(as_vec3("point", point))
+    return _integrand(_Receiver(strategy), scene, (point, as_unit("normal", normal)), (), extra=1)
 
 
 def render(
@@ -118,7 +124,8 @@ def path_throughput(scene: Scene, camera: Camera, *, events, directions="cosine"
     _check(camera, Camera, "camera", "mc.PinholeCamera(...)")
     numbers = tuple(map(int, numbers))
     strategy = Strategy(max(numbers), directions, "none")
-    return _integrand(_Throughput(strategy, numbers), scene, (camera,), ("film: x", "film: y"))
+    camera, far = _local(scene, camera)
+    return _integrand(_Throughput(strategy, far, numbers), scene, (camera,), ("film: x", "film: y"))
 
 
 class Intersection(NamedTuple):
@@ -140,34 +147,41 @@ def intersect(scene: Scene, origins, directions) -> Intersection:
     _check(scene, Scene, "scene", "mc.Scene([...])")
     if np.shape(origins) != np.shape(directions) or np.shape(origins)[1:] != (3,):
         raise ValueError(f"rays must be two arrays of shape (n, 3), got {np.shape(origins)} and {np.shape(directions)}")
-    return _intersect(scene, jnp.asarray(origins, float), jnp.asarray(directions, float))
+    return _intersect(scene, jnp.asarray(scene.local(origins), float), jnp.asarray(directions, float))
 
 
 @jax.jit
 def _intersect(scene, origins, directions):
     def one(origin, direction):
-        ray = shapes.ray(Vec3(*origin), normalize(Vec3(*direction)))
+        ray, ahead = approach(scene, shapes.ray(Vec3(*origin), normalize(Vec3(*direction))))
         hit = closest_hit(scene, ray)
         surface = surface_at(scene, ray, hit)
-        return Intersection(hit.distance, hit.primitive, jnp.stack(surface.point), jnp.stack(surface.normal))
+        point, normal = jnp.stack(surface.point) + scene.middle, jnp.stack(surface.normal)
+        return Intersection(hit.distance + ahead, hit.primitive, point, normal)
 
     return jax.vmap(one)(origins, directions)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Film:
-    """Radiance through a film position: of the whole image, or of one pixel where its number is given."""
+    """Radiance through a film position: of the whole image, or of one pixel where its number is given.
+
+    ``far``: the camera may lie far from the scene, and its rays start nearer.
+    """
 
     strategy: Strategy
+    far: bool
 
-    def start(self, u, camera, pixel=None):
+    def start(self, u, scene, camera, pixel=None):
         if pixel is None:
-            return camera.ray(u[0] * camera.width, u[1] * camera.height)
-        column, row = pixel % camera.width, pixel // camera.width
-        return camera.ray(column.astype(float) + u[0], row.astype(float) + u[1])
+            ray = camera.ray(u[0] * camera.width, u[1] * camera.height)
+        else:
+            column, row = pixel % camera.width, pixel // camera.width
+            ray = camera.ray(column.astype(float) + u[0], row.astype(float) + u[1])
+        return approach(scene, ray)[0] if self.far else ray
 
     def __call__(self, u, scene, camera, pixel=None):
-        return finish(self.strategy, trace(scene, self.strategy, u, 2, self.start(u, camera, pixel))[0])
+        return finish(self.strategy, trace(scene, self.strategy, u, 2, self.start(u, scene, camera, pixel))[0])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -180,7 +194,7 @@ class _Throughput(_Film):
         def observe(surface, after):
             return jnp.where(surface.primitive >= 0, luminance(after.beta), 0.0)
 
-        _, throughput = trace(scene, self.strategy, u, 2, self.start(u, camera, pixel), observe)
+        _, throughput = trace(scene, self.strategy, u, 2, self.start(u, scene, camera, pixel), observe)
         return jnp.asarray(throughput)[jnp.array(self.events) - 1]
 
 
@@ -210,6 +224,13 @@ class _Receiver:
         first = len(self.strategy.coordinates(scene))
         radiance, _ = follow(scene, self.strategy, u, first, state, self.strategy.bounces)
         return finish(self.strategy, jax.tree.map(lambda x: x * np.pi, radiance))
+
+
+def _local(scene, camera):
+    """Return a camera in the coordinates of the kernel, and whether it may lie far from the scene."""
+    origin = scene.local(camera.origin)
+    near = is_concrete((origin, scene.reach)) and dot(origin, origin) < (FAR * scene.reach) ** 2
+    return dataclasses.replace(camera, origin=origin), not near
 
 
 def _integrand(fn, scene, params, labels, extra=0):

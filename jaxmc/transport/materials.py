@@ -6,8 +6,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from .vec import Vec3, dot, frame
-from .warps import pdf_cosine_hemisphere, pdf_uniform_hemisphere, sample_cosine_hemisphere, sample_uniform_hemisphere
+from .vec import Vec3, dot, frame, larger
+from .warps import (
+    grazing,
+    pdf_cosine_hemisphere,
+    pdf_uniform_hemisphere,
+    sample_cosine_hemisphere,
+    sample_uniform_hemisphere,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,8 +60,10 @@ def pdf_diffuse(directions: str, cos_theta):
 
 
 def reflect(direction: Vec3, normal: Vec3) -> Vec3:
-    """Return ``direction`` reflected by a plane with unit normal ``normal``."""
-    return direction - normal * (2.0 * dot(direction, normal))
+    """Return ``direction`` reflected by a plane with unit normal ``normal`` on the side that it comes from."""
+    reflected = direction + normal * (2.0 * larger(-dot(direction, normal), grazing()))
+    # One Newton step to unit length: without it many reflections add up their rounding errors.
+    return reflected * (1.5 - 0.5 * dot(reflected, reflected))
 
 
 def power_heuristic(inverse_pdf, other_pdf):

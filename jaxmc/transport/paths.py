@@ -16,7 +16,7 @@ from jax import lax
 
 from ..integration.counts import is_count
 from . import shapes
-from .hits import Hit, Surface, closest_hit, surface_at, unoccluded
+from .hits import Hit, Surface, closest_hit, is_same, surface_at, unoccluded
 from .materials import luminance, pdf_diffuse, power_heuristic, reflect, sample_diffuse, weight_of_hit
 from .primitives import is_number
 from .scene import Scene
@@ -106,7 +106,7 @@ def sample_light(scene: Scene, point, own, u1, u2, pick) -> tuple[LightSample, A
     result = None
     for k, (i, (light, radiance)) in enumerate(zip(scene.lights, scene.emitters, strict=True)):
         sample = shapes.sample_quad_light if isinstance(light, QuadLight) else shapes.sample_sphere_light
-        one = (sample(light, point, own == i, u1, u2), radiance, i)
+        one = (sample(light, point, is_same(scene, own, i), u1, u2), radiance, i)
         result = one if result is None else jax.tree.map(lambda a, b, k=k: jnp.where(chosen == k, a, b), one, result)
     drawn, radiance, primitive = result
     return drawn._replace(inverse_pdf=drawn.inverse_pdf * count), radiance, primitive

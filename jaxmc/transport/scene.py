@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from . import facts
 from .materials import Mirror
 from .primitives import Quad, Sphere, as_color, as_vec3, is_concrete, reflectance_of
 from .shapes import QuadLight, QuadShape, SphereLight, SphereShape
@@ -73,6 +74,10 @@ class Scene:
         casters: numbers of the primitives that can cast a shadow between two points of the scene. A quad with the
             whole scene on one side of its plane cannot.
         empty: numbers of the spheres with no part of the scene inside.
+        twins: for each primitive the others on the same plane or sphere.
+        tight: whether two planes lie so close together that hits must be exactly on their own.
+        middle: the point that the kernel's coordinates are relative to, shape (3,): 0 where the scene lies around it.
+        reach: the scene lies within this distance from ``middle``; infinite where that is not known.
 
     Facts hold for the values that the scene was built with: to move things, build a new scene.
 
@@ -91,8 +96,10 @@ class Scene:
         "emitters",
         "sky",
         "present",
+        "middle",
+        "reach",
     )
-    _static = ("channels", "shapes", "lights", "mirrors", "casters", "empty")
+    _static = ("channels", "shapes", "lights", "mirrors", "casters", "empty", "twins", "tight")
 
     def __init__(self, primitives, sky=None):
         if not isinstance(primitives, Iterable):
@@ -111,12 +118,22 @@ class Scene:
         self.shapes = tuple("quad" if isinstance(p, Quad) else "sphere" for p in primitives)
         self.lights = tuple(i for i, c in enumerate(radiances) if not (is_concrete(c) and max(c) == 0.0))
         self.mirrors = tuple(i for i, p in enumerate(primitives) if isinstance(p.material, Mirror))
+        facts.check_range(primitives)
+        layout, eps = facts.layout(primitives), float(jnp.finfo(jnp.result_type(float)).eps)
+        self.middle, self.reach = layout.middle.astype(jnp.result_type(float)), number(layout.reach)
+        if layout.middle.any():
+            primitives = [facts.moved(p, -layout.middle) for p in primitives]
         frames = [_quad_frame(p) if isinstance(p, Quad) else None for p in primitives]
-        self.casters, self.empty = _casters_and_empty(primitives, frames)
+        touch = facts.touch(primitives, [f and f.normal for f in frames], layout.extent, eps)
+        self.casters, self.empty, self.twins, self.tight = touch.casters, touch.empty, touch.twins, touch.tight
 
-        extent = _extent(primitives)
-        rounding = [_rounding(f, extent) if f else 0.0 for f in frames]
-        shape = [_quad_shape(f, r) if f else _sphere_shape(p) for p, f, r in zip(primitives, frames, rounding)]
+        # Quads that touch each other overlap by rounding, so that no ray slips between them.
+        rounding = [0.0 if free else _rounding(f, layout.extent, eps) for f, free in zip(frames, touch.free)]
+        planes = [frames[min(i, *twins)] if twins else frames[i] for i, twins in enumerate(self.twins)]
+        shape = [
+            _quad_shape(f, planes[i], rounding[i]) if f else _sphere_shape(primitives[i], i in layout.large)
+            for i, f in enumerate(frames)
+        ]
         self.quads = tuple(number(s) if isinstance(s, QuadShape) else None for s in shape)
         self.spheres = tuple(number(s) if isinstance(s, SphereShape) else None for s in shape)
         nowhere = Vec3(0.0, 0.0, 0.0)
@@ -128,7 +145,7 @@ class Scene:
         self.inverse_radius = number(lookup(curvature)) if "sphere" in self.shapes else None
         self.inset = number(lookup([2.0 * r for r in rounding]))
         self.reflectance = number(_lookups([self._color(c) for c in colors]))
-        lights = [frames[i] or SphereLight(*_sphere_shape(primitives[i]), primitives[i].inward) for i in self.lights]
+        lights = [frames[i] or SphereLight(shape[i], primitives[i].inward) for i in self.lights]
         self.emitters = number([(light, self._color(radiances[i])) for i, light in zip(self.lights, lights)])
         self.sky = number(table_of_sky(sky, self._color))
 
@@ -141,6 +158,15 @@ class Scene:
     def size(self) -> int:
         """Number of primitives."""
         return len(self.shapes)
+
+    def local(self, point):
+        """Return a point, a ``Vec3`` or an array of shape (..., 3), in the coordinates of the kernel."""
+        if is_concrete(self.middle) and not np.any(self.middle):
+            return point
+        if not isinstance(point, Vec3):
+            return (np.asarray(point, np.float64) if is_concrete(point) else point) - self.middle
+        # Subtract in float64 what is known, before the kernel's numbers round it.
+        return Vec3(*((np.asarray(c, np.float64) if is_concrete(c) else c) - m for c, m in zip(point, self.middle)))
 
     def tree_flatten(self):
         return [getattr(self, k) for k in self._data], tuple(getattr(self, k) for k in self._static)
@@ -182,15 +208,15 @@ def _quad_frame(quad: Quad) -> QuadLight:
     return QuadLight(corner + half_u + half_v, half_u, half_v, n / length, 4.0 * length)
 
 
-def _quad_shape(frame: QuadLight, rounding) -> QuadShape:
-    n = frame.normal
-    row_u, row_v = cross(frame.half_v, n), cross(n, frame.half_u)
+def _quad_shape(frame: QuadLight, plane: QuadLight, rounding) -> QuadShape:
+    """Return a parallelogram; twins share the numbers of one ``plane``, so that none is in front of another."""
+    row_u, row_v = cross(frame.half_v, frame.normal), cross(frame.normal, frame.half_u)
     row_u, row_v = row_u / dot(row_u, frame.half_u), row_v / dot(row_v, frame.half_v)
-    normal, offset = _without_zeros(n), dot(n, frame.center)
+    normal, offset = _without_zeros(plane.normal), dot(plane.normal, plane.center)
     present = [k for k in range(3) if normal[k] is not None]
     axis = present[0] if len(present) == 1 else None
     if axis is not None:
-        normal, offset = None, frame.center[axis]
+        normal, offset = None, plane.center[axis]
     rows = [(_without_zeros(r), _none_if_zero(dot(r, frame.center))) for r in (row_u, row_v)]
     return QuadShape(normal, offset, *rows[0], *rows[1], 1.0 + rounding, axis)
 
@@ -203,58 +229,16 @@ def _without_zeros(v):
     return Vec3(*map(_none_if_zero, v))
 
 
-def _sphere_shape(sphere: Sphere) -> SphereShape:
+def _sphere_shape(sphere: Sphere, large) -> SphereShape:
     radius = float(sphere.radius) if is_concrete(sphere.radius) else sphere.radius
-    return SphereShape(as_vec3("center", sphere.center), radius)
+    center = as_vec3("center", sphere.center)
+    return SphereShape(center, radius, dot(center, center) - radius * radius if large else None)
 
 
-def _extent(primitives):
-    """Return the largest coordinate of the scene, by size."""
-    largest = [1e-30]
-    for p in primitives:
-        if not is_concrete((getattr(p, "corner", 0.0), getattr(p, "edge_u", 0.0), getattr(p, "edge_v", 0.0))):
-            continue
-        if isinstance(p, Quad):
-            largest.append(float(np.abs(_corners(p)).max()))
-        elif is_concrete((p.center, p.radius)):
-            largest.append(float(np.abs(np.asarray(p.center, float)).max() + p.radius))
-    return max(largest)
-
-
-def _rounding(frame, extent):
-    """Return the rounding error of a hit in a quad's own coordinates, which run from -1 to 1."""
+def _rounding(frame, extent, eps):
+    """Return the rounding error of a hit in a quad's own coordinates, which run from -1 to 1; 0 for a sphere."""
+    if frame is None:
+        return 0.0
     shorter = jnp.minimum if not is_concrete(frame) else min
     half = shorter(dot(frame.half_u, frame.half_u) ** 0.5, dot(frame.half_v, frame.half_v) ** 0.5)
-    return 4.0 * float(jnp.finfo(jnp.result_type(float)).eps) * (1.0 + extent / half)
-
-
-def _corners(quad):
-    corner, u, v = (np.asarray(x, np.float64) for x in (quad.corner, quad.edge_u, quad.edge_v))
-    return np.stack([corner, corner + u, corner + v, corner + u + v])
-
-
-def _casters_and_empty(primitives, frames):
-    """Return the primitives that can lie between two points of the scene, and the spheres with none of them inside."""
-    geometry = [(p.corner, p.edge_u, p.edge_v) if isinstance(p, Quad) else (p.center, p.radius) for p in primitives]
-    if not is_concrete(geometry):
-        return tuple(range(len(primitives))), ()
-    points = [_corners(p) if isinstance(p, Quad) else np.asarray(p.center, float)[None] for p in primitives]
-    slack = 1e-6 * max((np.abs(p).max() for p in points), default=0.0)
-    radius = [0.0 if frame else p.radius for p, frame in zip(primitives, frames)]
-    quads = [i for i, frame in enumerate(frames) if frame]
-    spheres = [i for i, frame in enumerate(frames) if not frame]
-
-    def heights(i, j):
-        return (points[j] - np.array(frames[i].center)) @ np.array(frames[i].normal)
-
-    def is_hull(i):
-        above = all((heights(i, j) - radius[j] >= -slack).all() for j in range(len(primitives)))
-        return above or all((heights(i, j) + radius[j] <= slack).all() for j in range(len(primitives)))
-
-    def is_empty(i):
-        # Take a quad for its whole plane: it is then called inside too often, never too rarely.
-        apart = [np.linalg.norm(points[i] - points[j]) >= radius[i] + radius[j] - slack for j in spheres if j != i]
-        return all(apart) and all(abs(heights(j, i)[0]) >= radius[i] - slack for j in quads)
-
-    hull = [i for i in quads if is_hull(i)]
-    return tuple(i for i in range(len(primitives)) if i not in hull), tuple(i for i in spheres if is_empty(i))
+    return 4.0 * eps * (1.0 + extent / half)

@@ -1,7 +1,9 @@
 """Sphere and parallelogram: closest hit, shadow test and light sampling, written for one ray.
 
 No start offsets. A ray that leaves a primitive knows which one (``own``): a parallelogram is not hit again from its own
-plane, a sphere only at its other root, which is known in closed form. Distances are infinite where a ray misses.
+plane, a sphere only at its other root, which is known in closed form and which only a ray that goes inward has: so no
+sampled direction may lie closer to the tangent plane than rounding tells, see ``warps.grazing``. Distances are infinite
+where a ray misses.
 
 Components that are zero by construction are ``None`` in a ``QuadShape``: they take part in no arithmetic, so a wall
 that is parallel to an axis costs a third of a tilted one.
@@ -58,10 +60,13 @@ class QuadShape:
 
 
 class SphereShape(NamedTuple):
-    """A sphere."""
+    """A sphere. ``power`` is that of the origin, |center|^2 - radius^2, and only kept for a sphere far larger than what
+    happens near it: there the distance to its centre has lost the digits that matter.
+    """
 
     center: Vec3
     radius: Any
+    power: Any = None
 
 
 def intersect_quad(quad: QuadShape, ray: Ray, own):
@@ -88,6 +93,8 @@ def is_on_quad(quad: QuadShape, point):
 
 def is_on_sphere(sphere: SphereShape, point):
     """Return whether a point lies on a sphere, to rounding."""
+    if sphere.power is not None:
+        return _is_rounding(_power(sphere, point) / (2.0 * sphere.radius), [*point])
     to_center = sphere.center - point
     height = jnp.sqrt(dot(to_center, to_center)) - sphere.radius
     return _is_rounding(height, [sphere.radius, *sphere.center, *point])
@@ -109,20 +116,35 @@ def _sparse_dot(row, v):
 
 
 def intersect_sphere(sphere: SphereShape, ray: Ray, own):
-    """Return the distance to a sphere, infinite for a miss; ``own``: the ray starts on it.
-
-    The discriminant is taken from the point of the ray nearest to the centre, which keeps it accurate for a small
-    sphere far away (Haines et al. 2019, Ray Tracing Gems, chapter 7).
-    """
+    """Return the distance to a sphere, infinite for a miss; ``own``: the ray starts on it."""
     to_center = sphere.center - ray.origin
     nearest = dot(to_center, ray.direction)
-    offset = to_center - ray.direction * nearest
-    half_chord = root(sphere.radius * sphere.radius - dot(offset, offset))  # NaN for a miss
-    near = nearest - half_chord
-    distance = jnp.where(near > 0.0, near, nearest + half_chord)
+    near, far = _roots(sphere, ray, to_center, nearest)
+    distance = jnp.where(near > 0.0, near, far)
     # From its own surface the other end of the chord is twice as far as the centre's foot point.
     distance = jnp.where(own, 2.0 * nearest, distance)
     return jnp.where(distance > 0.0, distance, jnp.inf)
+
+
+def _roots(sphere, ray, to_center, nearest):
+    """Return both distances at which a line meets a sphere, the smaller first; NaN for a miss.
+
+    The discriminant is taken from the point of the line nearest to the centre, which keeps it accurate for a small
+    sphere far away; for a large one nearby the root next to 0 comes from the product of both, which is the power of
+    the ray's origin (Haines et al. 2019, Ray Tracing Gems, chapter 7).
+    """
+    offset = to_center - ray.direction * nearest
+    half_chord = root(sphere.radius * sphere.radius - dot(offset, offset))
+    if sphere.power is None:
+        return nearest - half_chord, nearest + half_chord
+    outer = nearest + jnp.where(nearest < 0.0, -half_chord, half_chord)
+    inner = quotient(_power(sphere, ray.origin), outer)
+    return smaller(inner, outer), larger(inner, outer)
+
+
+def _power(sphere, point):
+    """Return the power of a point, the product of its distances to a sphere along any line, without cancellation."""
+    return dot(point, point) - 2.0 * dot(sphere.center, point) + sphere.power
 
 
 def sphere_blocks(sphere: SphereShape, ray: Ray, length, own, empty=False):
@@ -133,12 +155,19 @@ def sphere_blocks(sphere: SphereShape, ray: Ray, length, own, empty=False):
     r2 = sphere.radius * sphere.radius
     to_center = sphere.center - ray.origin
     nearest = dot(to_center, ray.direction)
-    foot = to_center - ray.direction * smaller(larger(nearest, 0.0), length)
-    crosses = dot(foot, foot) < r2
-    if not empty:
-        # A segment inside the sphere from end to end does not cross its surface.
-        end = to_center - ray.direction * length
-        crosses = crosses & ~((dot(to_center, to_center) < r2) & (dot(end, end) < r2))
+    along = smaller(larger(nearest, 0.0), length)
+    if sphere.power is not None:
+        start = _power(sphere, ray.origin)
+        inside, end_inside = start < 0.0, start + length * (length - 2.0 * nearest) < 0.0
+        crosses = start + along * (along - 2.0 * nearest) < 0.0
+        crosses = crosses & ~(inside & end_inside)
+    else:
+        foot = to_center - ray.direction * along
+        crosses = dot(foot, foot) < r2
+        if not empty:
+            # A segment inside the sphere from end to end does not cross its surface.
+            end = to_center - ray.direction * length
+            crosses = crosses & ~((dot(to_center, to_center) < r2) & (dot(end, end) < r2))
     return jnp.where(own, (nearest > 0.0) & (2.0 * nearest < length), crosses)
 
 
@@ -164,14 +193,17 @@ class QuadLight(NamedTuple):
 
 
 def sample_quad_light(light: QuadLight, point, own, u1, u2) -> LightSample:
-    """Sample a point of the parallelogram uniformly by area, seen from ``point``; ``own`` is not used."""
+    """Sample a point of the parallelogram uniformly by area, seen from ``point``; ``own``: that lies in its plane, from
+    which it cannot be seen.
+    """
     target = light.center + light.half_u * (2.0 * u1 - 1.0) + light.half_v * (2.0 * u2 - 1.0)
     to_light = target - point
     squared = dot(to_light, to_light)
     inverse = jnp.sqrt(1.0 / squared)
     wi = to_light * inverse
     cos_light = larger(-dot(light.normal, wi), 0.0)
-    return LightSample(wi, squared * inverse, cos_light * light.area * (inverse * inverse))
+    inverse_pdf = cos_light * light.area * (inverse * inverse)
+    return LightSample(wi, squared * inverse, jnp.where(own, 0.0, inverse_pdf))
 
 
 def inverse_pdf_quad_light(light: QuadLight, point, wi, distance):
@@ -179,13 +211,12 @@ def inverse_pdf_quad_light(light: QuadLight, point, wi, distance):
     return larger(-dot(light.normal, wi), 0.0) * light.area / (distance * distance)
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["center", "radius"], meta_fields=["inward"])
+@partial(jax.tree_util.register_dataclass, data_fields=["sphere"], meta_fields=["inward"])
 @dataclasses.dataclass(frozen=True)
 class SphereLight:
     """What sampling a sphere by solid angle needs; ``inward``: it shines on what is inside it."""
 
-    center: Vec3
-    radius: Any
+    sphere: SphereShape
     inward: bool
 
 
@@ -194,34 +225,38 @@ def sample_sphere_light(light: SphereLight, point, own, u1, u2) -> LightSample:
 
     ``own``: the point is on the sphere. Source: Shirley, Wang & Zimmerman 1996; pbrt, section 6.2.4.
     """
-    to_center = light.center - point
+    to_center = light.sphere.center - point
     squared = dot(to_center, to_center)
-    axis = to_center * jnp.sqrt(1.0 / squared)
-    one_minus_cos, visible = _cone(light, squared, own)
+    one_minus_cos, visible = _cone(light, point, squared, own)
     z = 1.0 - u1 * one_minus_cos
     radius = root(jnp.maximum(u1 * one_minus_cos * (1.0 + z), 0.0))
     sine, cosine = sincos_2pi(u2)
-    tangent, bitangent = frame(axis)
-    wi = tangent * (radius * cosine) + bitangent * (radius * sine) + axis * z
-    nearest = dot(to_center, wi)
-    offset = to_center - wi * nearest
-    half_chord = root(jnp.maximum(light.radius * light.radius - dot(offset, offset), 0.0))
-    distance = nearest + half_chord if light.inward else nearest - half_chord
+    wi = Vec3(radius * cosine, radius * sine, z)
+    if not light.inward:
+        axis = to_center * jnp.sqrt(1.0 / squared)
+        tangent, bitangent = frame(axis)
+        wi = tangent * wi.x + bitangent * wi.y + axis * wi.z
+    near, far = _roots(light.sphere, ray(point, wi), to_center, dot(to_center, wi))
+    distance = far if light.inward else near
+    # Rounding makes some rays at the rim miss: they end where the sphere is nearest to them.
+    distance = jnp.where(distance == distance, distance, dot(to_center, wi))
     return LightSample(wi, distance, jnp.where(visible, 2.0 * np.pi * one_minus_cos, 0.0))
 
 
 def inverse_pdf_sphere_light(light: SphereLight, point, wi, distance):
     """Return 1 / density per solid angle of ``sample_sphere_light`` from ``point``, 0 where its inside is dark."""
-    to_center = light.center - point
+    to_center = light.sphere.center - point
     # A hit of the inside tells that the point is inside.
-    one_minus_cos, visible = _cone(light, dot(to_center, to_center), True)
+    one_minus_cos, visible = _cone(light, point, dot(to_center, to_center), light.inward)
     falling = dot(to_center - wi * distance, wi)
     return jnp.where(visible & (falling < 0.0 if light.inward else falling > 0.0), 2.0 * np.pi * one_minus_cos, 0.0)
 
 
-def _cone(light, squared, own):
+def _cone(light, point, squared, own):
     """Return 1 - cos of the cone's half angle (2 for an inward light), and whether the light can be seen."""
+    r2 = light.sphere.radius * light.sphere.radius
     if light.inward:
-        return 2.0, own | (squared < light.radius * light.radius)
-    sin2 = light.radius * light.radius / squared
-    return sin2 / (1.0 + root(jnp.maximum(1.0 - sin2, 0.0))), sin2 < 1.0
+        return 2.0, own | (squared < r2)
+    sin2 = r2 / squared
+    cos2 = 1.0 - sin2 if light.sphere.power is None else _power(light.sphere, point) / squared
+    return sin2 / (1.0 + root(jnp.maximum(cos2, 0.0))), (cos2 > 0.0) & jnp.logical_not(own)

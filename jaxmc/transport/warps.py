@@ -7,7 +7,7 @@ Directions are in the local frame whose z axis is the surface normal.
 import jax.numpy as jnp
 import numpy as np
 
-from .vec import Vec3
+from .vec import Vec3, larger
 
 
 def _coefficients(function, terms):
@@ -45,8 +45,18 @@ def _horner(coefficients, x):
     return value
 
 
+def grazing():
+    """Return the least cosine of a direction with the normal of the surface that it leaves: the rounding error of a
+    product of two unit vectors, so that no ray starts below its own surface.
+    """
+    return 16.0 * float(jnp.finfo(jnp.result_type(float)).eps)
+
+
 def sample_cosine_hemisphere(u1, u2):
-    """Map (u1, u2) to a unit direction with density cos(theta) / pi per solid angle (Malley's method)."""
+    """Map (u1, u2) to a unit direction with density cos(theta) / pi per solid angle (Malley's method).
+
+    In float32 cos(theta) is at least 2^-12.
+    """
     radius = jnp.sqrt(u1)
     sine, cosine = sincos_2pi(u2)
     return Vec3(radius * cosine, radius * sine, jnp.sqrt(1.0 - u1))
@@ -58,7 +68,10 @@ def pdf_cosine_hemisphere(cos_theta):
 
 
 def sample_uniform_hemisphere(u1, u2):
-    """Map (u1, u2) to a unit direction with density 1 / (2 pi) per solid angle; cos(theta) = u1 exactly."""
+    """Map (u1, u2) to a unit direction with density 1 / (2 pi) per solid angle; cos(theta) = u1, or ``grazing()`` if
+    that is more: what this adds to a mean is its square.
+    """
+    u1 = larger(u1, grazing())
     radius = jnp.sqrt((1.0 - u1) * (1.0 + u1))
     sine, cosine = sincos_2pi(u2)
     return Vec3(radius * cosine, radius * sine, u1)

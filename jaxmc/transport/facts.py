@@ -1,0 +1,165 @@
+"""What is known of a scene before any ray: where it lies, what touches what, what can cast a shadow.
+
+All of it is computed once, in float64, from the primitives as the user gave them. ``eps`` is the rounding of the
+kernel's numbers. While JAX traces the geometry nothing is known, and every answer is the safe one.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from .primitives import Quad, Sphere, is_concrete
+
+LARGE = 16.0  # a primitive is large if it is so many times as large as all the smaller ones together
+TIGHT = 1e-3  # of the scene: a gap in which rounding would be felt
+
+
+class Layout(NamedTuple):
+    """Where a scene lies. Coordinates of the kernel are relative to ``middle``, shape (3,), which float32 holds
+    exactly; ``extent`` is the largest of them by size. ``large`` are the primitives left out of both. All primitives
+    lie within the distance ``reach`` from the middle.
+    """
+
+    middle: np.ndarray
+    extent: float
+    large: tuple[int, ...]
+    reach: float
+
+
+def is_known(primitives) -> bool:
+    """Return whether the geometry is known: not while JAX traces it."""
+    return is_concrete(
+        [(p.corner, p.edge_u, p.edge_v) if isinstance(p, Quad) else (p.center, p.radius) for p in primitives]
+    )
+
+
+def check_range(primitives) -> None:
+    """Raise ``ValueError`` where squares of lengths would leave the range of the kernel's numbers."""
+    least = float(jnp.finfo(jnp.result_type(float)).tiny) ** 0.4
+    for p in primitives:
+        if not is_known([p]):
+            continue
+        sizes = [p.radius] if isinstance(p, Sphere) else [np.linalg.norm(p.edge_u), np.linalg.norm(p.edge_v)]
+        far = np.abs(p.center if isinstance(p, Sphere) else p.corner).max()
+        if min(sizes) < least or max(*sizes, far) > 1.0 / least:
+            raise ValueError(
+                f"{type(p).__name__} of size {min(sizes):g} at a distance of {far:g}: {jnp.result_type(float)} holds "
+                f"squares of lengths from {least:.0e} to {1 / least:.0e} only; scale the scene"
+            )
+
+
+def layout(primitives) -> Layout:
+    """Return where a scene lies.
+
+    A scene that lies farther from the origin than its own size is given relative to its middle, so that moving a scene
+    costs no digits. A ground of a thousand times its size does not count: what happens, happens on a small part of it.
+    """
+    known = [i for i, p in enumerate(primitives) if is_known([p])]
+    boxes = {i: _box(primitives[i]) for i in known}
+    together, large = None, []
+    for i in sorted(known, key=lambda i: _size(boxes[i])):
+        if together is not None and _size(boxes[i]) > LARGE * _size(together):
+            large.append(i)
+        else:
+            together = boxes[i] if together is None else _union(together, boxes[i])
+    if together is None:
+        return Layout(np.zeros(3), 1e-30, (), np.inf)
+    middle = together.mean(0).astype(np.float32).astype(np.float64)
+    if len(known) < len(primitives) or np.abs(middle).max() <= _size(together):
+        middle = np.zeros(3)
+    farthest = max(np.linalg.norm(np.abs(box - middle).max(0)) for box in boxes.values())
+    reach = float(farthest) if len(known) == len(primitives) else np.inf
+    return Layout(middle, float(np.abs(together - middle).max()), tuple(sorted(large)), reach)
+
+
+def moved(primitive, offset):
+    """Return a primitive moved by ``offset``, shape (3,)."""
+    place = "corner" if isinstance(primitive, Quad) else "center"
+    return dataclasses.replace(primitive, **{place: np.asarray(getattr(primitive, place), np.float64) + offset})
+
+
+def _box(p):
+    """Return the lower and the upper corner of the box around a primitive, shape (2, 3)."""
+    if isinstance(p, Quad):
+        points = corners(p)
+        return np.stack([points.min(0), points.max(0)])
+    center = np.asarray(p.center, np.float64)
+    return np.stack([center - p.radius, center + p.radius])
+
+
+def _union(a, b):
+    return np.stack([np.minimum(a[0], b[0]), np.maximum(a[1], b[1])])
+
+
+def _size(box):
+    return float((box[1] - box[0]).max()) / 2.0
+
+
+def corners(quad) -> np.ndarray:
+    """Return the corners of a parallelogram, shape (4, 3)."""
+    corner, u, v = (np.asarray(x, np.float64) for x in (quad.corner, quad.edge_u, quad.edge_v))
+    return np.stack([corner, corner + u, corner + v, corner + u + v])
+
+
+class Touch(NamedTuple):
+    """What primitives have to do with each other, each a tuple over the primitives or of their numbers.
+
+    twins: for each primitive the others on the same plane or sphere: a ray that leaves it cannot meet them either.
+    free: for each primitive whether it is a quad that touches no other, so that its edges need not overlap.
+    casters: those that can lie between two points of the scene. A quad with all of it on one side of its plane cannot.
+    empty: the spheres with no part of the scene inside.
+    tight: whether two planes lie so close to each other that a hit must be exactly on its own.
+    """
+
+    twins: tuple[tuple[int, ...], ...]
+    free: tuple[bool, ...]
+    casters: tuple[int, ...]
+    empty: tuple[int, ...]
+    tight: bool
+
+
+def touch(primitives, normals, extent, eps) -> Touch:
+    """Return what primitives have to do with each other; ``normals`` are those of the quads, None for spheres."""
+    count = len(primitives)
+    if not is_known(primitives):
+        return Touch(((),) * count, (False,) * count, tuple(range(count)), (), True)
+    slack = 8.0 * eps * extent
+    quad = np.array([n is not None for n in normals], bool)
+    normal = np.array([(0.0, 0.0, 0.0) if n is None else n for n in normals]).reshape(-1, 3)
+    points = np.array([_points(p) for p in primitives]).reshape(-1, 4, 3)
+    radius = np.array([0.0 if isinstance(p, Quad) else p.radius for p in primitives])
+    other, both, neither = ~np.eye(count, dtype=bool), quad[:, None] & quad, ~quad[:, None] & ~quad
+
+    # Heights of the points of primitive j over the plane of quad i, at [i, j], and how far apart the centres are.
+    height = np.einsum("ijkx,ix->ijk", points - points[:, None, :1], normal)
+    low, high = height.min(-1) - radius, height.max(-1) + radius
+    distance = np.linalg.norm(points[:, None, 0] - points[:, 0], axis=-1)
+    hull = quad & ((low >= -slack).all(1) | (high <= slack).all(1))
+
+    # A quad counts as its whole plane: a sphere is then called empty too rarely, never too often.
+    clear = (distance >= radius[:, None] + radius - slack) | ~(neither & other)
+    empty = ~quad & clear.all(1) & ((np.abs(height[:, :, 0]) >= radius - slack) | ~quad[:, None]).all(0)
+
+    beyond = np.maximum(np.abs(low), np.abs(high))  # the largest height of j over the plane of i
+    flat = beyond <= slack
+    same = (distance <= slack) & (np.abs(radius[:, None] - radius) <= slack)
+    twins = other & ((both & flat & flat.T) | (neither & same))
+    tight = (beyond < TIGHT * extent) & both & other & ~twins
+
+    lower, upper = points.min(1), points.max(1)
+    apart = (lower[:, None] - upper > slack).any(-1) | (low > slack) | (high < -slack)
+    free = quad & (apart | apart.T | ~(both & other)).all(1)
+    numbers = np.arange(count)
+    return Touch(
+        twins=tuple(tuple(numbers[row].tolist()) for row in twins),
+        free=tuple(free.tolist()),
+        casters=tuple(numbers[~hull].tolist()),
+        empty=tuple(numbers[empty].tolist()),
+        tight=bool(tight.any()),
+    )
+
+
+def _points(p):
+    return corners(p) if isinstance(p, Quad) else np.broadcast_to(np.asarray(p.center, np.float64), (4, 3))
