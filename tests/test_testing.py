@@ -1,5 +1,6 @@
 """The tools that tests are made of: what they pass, what they refuse, and how sure they are."""
 
+import dataclasses
 import math
 
 import jax
@@ -61,9 +62,8 @@ def test_sound_pairs_agree():
 def test_estimates_of_the_driver_agree_however_their_points_lie():
     f = mc.Integrand(lambda u, factor: factor * jnp.exp(u[0]), 1, (1.0,))
     wrong = mc.Integrand(f.fn, 1, (1.0003,))
-    plain, even = mc.integrate(f, n=MANY, key=1), mc.integrate(f, n=1 << 12, key=2, sampler=mc.Sobol())
+    plain, even = mc.integrate(f, n=MANY, key=jax.random.key(1)), mc.integrate(f, n=1 << 12, key=2, sampler=mc.Sobol())
     assert_equivalent(plain, even, rel_precision=2e-3)
-    assert_equivalent(plain, mc.integrate(f, n=MANY, key=jax.random.key(2)), rel_precision=2e-3)
     # The error bar of points that lie evenly is that of their randomisations, widened by Student's law.
     for other, precision in ((f, 1e-4), (wrong, 1e-4), (f, 1e-6)):
         again = mc.integrate(other, n=1 << 12, key=3, sampler=mc.Sobol())
@@ -95,7 +95,7 @@ def test_agreement_without_evidence_is_refused():
     with pytest.raises(AssertionError, match="too wide"):  # one sample has no variance
         assert_equivalent(noise(1, MANY), noise(2, 1), rel_precision=10.0)
     heavy = [estimate(np.random.default_rng(key).random(MANY) ** -0.7, key) for key in (1, 2)]
-    with pytest.raises(AssertionError, match=r"^the tail is too heavy for an error bar"):
+    with pytest.raises(AssertionError, match=r"^too few samples make the variance for an error bar \(1 of 1\)"):
         assert_equivalent(*heavy, rel_precision=1.0)
 
 
@@ -117,6 +117,44 @@ def test_constants_may_differ_by_rounding():
     for value in (3.0 * (1 + 2e-5), -3.0, 0.0):
         with pytest.raises(AssertionError, match=r"^the estimates differ"):
             assert_equivalent(constant(3.0, 1), constant(value, 2), rel_precision=1e-9)
+
+
+def test_components_that_few_samples_make_are_no_evidence():
+    rare = np.zeros((MANY, 2))
+    rare[:, 0], rare[:3, 1] = np.random.default_rng(1).normal(1.0, 1.0, MANY), 1e4
+    full = np.random.default_rng(2).normal((1.0, 3.0), 1.0, (MANY, 2))
+
+    def refusal(a, b):
+        with pytest.raises(AssertionError) as refused:
+            assert_equivalent(a, b, 0.0, abs_precision=9.0)
+        return str(refused.value)
+
+    few = "too few samples make the variance for an error bar (1 of 2): component 1"
+    assert refusal(estimate(rare, 1), estimate(full, 2)).startswith(few)
+    # Images keep two moments: what tells it comes as a tally, or where an event was never met.
+    shape = estimate(rare, 1).moments
+    image = dataclasses.replace(estimate(rare, 1), moments=[shape[0]._replace(central=shape[0].central[:1])])
+    assert refusal(image, estimate(full, 2)).startswith("the estimates differ (1 of 2): component 1")
+    assert refusal(dataclasses.replace(image, tallies={"shape": shape}), estimate(full, 2)).startswith(few)
+    assert refusal(estimate(rare * (1.0, 0.0), 1), estimate(full, 2)).startswith(few)
+
+
+def small_room(factor):
+    wall = mc.Quad((-1, 0, 1), (2, 0, 0), (0, 0, -2), mc.Diffuse(0.7))
+    lamp = mc.Quad((-0.5, 1.5, -0.5), (1, 0, 0), (0, 0, 1), mc.Diffuse(0.0), emission=3.0 * factor)
+    return mc.Scene([wall, lamp]), mc.PinholeCamera((0, 0.5, 3), (0, 0.3, 0), width=12, height=8)
+
+
+@pytest.mark.slow
+def test_images_by_different_strategies_agree():
+    def image(lights, key, factor=1.0):
+        shape = {"shape": mc.Moments(order=4)}
+        return mc.render(*small_room(factor), spp=1 << 14, bounces=1, lights=lights, key=key, tallies=shape)
+
+    right = image("nee", 1)
+    assert_equivalent(right, image("none", 2), rel_precision=0.04, abs_precision=0.03)
+    with pytest.raises(AssertionError, match=r"^the estimates differ"):
+        assert_equivalent(right, image("none", 2, factor=1.3), rel_precision=0.04, abs_precision=0.03)
 
 
 def test_every_leaf_of_a_tree_is_compared():
@@ -141,7 +179,7 @@ def test_false_alarms_are_as_rare_as_said(components, monkeypatch):
     # With a bound of 2 standard errors in place of 5, 4.6 % of sound pairs fail: for means of few randomisations, of
     # unequal spread, and many components.
     monkeypatch.setattr(checks, "SIGMAS", 2.0)
-    rng, many, trials = np.random.default_rng(3), np.full(components, 1e6), 1000
+    rng, many, trials = np.random.default_rng(3), np.full(components, 1e6), 500
     within = MomentsResult(many, np.zeros(components), [np.ones(components)], 0)
 
     def randomised(key, replicates, scale):
@@ -342,8 +380,6 @@ def test_samples_may_be_rejected():
     assert result.cells > 300
     with pytest.raises(AssertionError, match="do not follow"):  # too many are rejected
         assert_samples_pdf(lambda u: u, inside, SQUARE, n=1 << 17, accept=lambda x: x @ x < 0.97)
-    with pytest.raises(AssertionError, match=r"integrates to 0\.785"):
-        assert_samples_pdf(lambda u: u, inside, SQUARE, n=1 << 17)
 
 
 # ---------------------------------------------------------------------------------------- Jacobians

@@ -75,7 +75,7 @@ class Estimate:
     def heavy(self) -> bool:
         """Whether few samples carry so much of the variance that no interval can be trusted: skewness^2 above n / 25,
         or kurtosis above n / 10, for some component. False for images, which keep no third moments."""
-        return any(_is_heavy(m) for m in self.moments)
+        return any(np.any(heavy_tail(m)) for m in self.moments)
 
     @property
     def status(self) -> str:
@@ -131,13 +131,15 @@ def _stderr(m: MomentsResult):
     return np.sqrt(m.variance / np.maximum(m.n, 1))
 
 
-def _is_heavy(m: MomentsResult) -> bool:
+def heavy_tail(m: MomentsResult):
+    """Return for each component whether few samples carry so much of its variance that no interval can be trusted;
+    False where the moments of order 3 and 4 that tell it were not kept."""
     if len(m.central) < 3:
-        return False
+        return np.zeros(np.shape(m.mean), bool)
     second, third, fourth = m.central
     with np.errstate(all="ignore"):
         skew, kurtosis = third**2 / second**3, fourth / second**2
-        return bool(np.any((skew > m.n / TOO_SKEW) | (kurtosis > m.n * TOO_PEAKED)))
+        return (skew > m.n / TOO_SKEW) | (kurtosis > m.n * TOO_PEAKED)
 
 
 def with_error(value: float, error: float) -> str:
