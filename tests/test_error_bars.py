@@ -1,6 +1,8 @@
 """Intervals, replicates and stopping: what is claimed of an error must be true."""
 
+import copy
 import math
+import pickle
 
 import jax.numpy as jnp
 import numpy as np
@@ -215,3 +217,9 @@ def test_where_nothing_varies_the_status_says_so():
     assert constant.reached and constant.n == stopping.FIRST and constant.status == "all samples equal"
     unseen = mc.integrate(lambda u: jnp.where(u[0] < 1e-7, 1e7, 0.0), dim=1, n=1000)
     assert unseen.mean == 0.0 and unseen.status == "all samples equal"
+
+
+def test_an_interval_can_be_copied_and_stored():
+    interval = mc.integrate(lambda u: u[0], dim=1, n=100).interval(0.9)
+    for again in (copy.deepcopy(interval), pickle.loads(pickle.dumps(interval))):
+        assert again == interval and (again.method, again.level) == (interval.method, 0.9)

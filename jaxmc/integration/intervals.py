@@ -25,6 +25,9 @@ class Interval(Ends):
         ends.method, ends.level = method, level
         return ends
 
+    def __getnewargs__(self):
+        return self.lower, self.upper, self.method, self.level
+
     def __repr__(self):
         return f"({self.lower}, {self.upper}), {self.level:.4g} {self.method}"
 
