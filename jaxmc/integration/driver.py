@@ -65,11 +65,11 @@ def integrate(
     if n is not None and replicates and n // replicates < SMALL * LANES:
         blocks, rows = max(blocks, min(replicates, MOST_BLOCKS)), SMALL
     run = Run(integrand, key, sampler, replicates, tallies, workers, blocks, rows)
-    if target is not None:
-        with Progress(progress, None) as bar:
-            return stopping.run_until(target, run, bar)
-    with Progress(progress, run.points(n) * (replicates or 1)) as bar:
-        return run.stream(n, bar)
+    if n is not None:
+        with Progress(progress, run.points(n) * (replicates or 1)) as bar:
+            return run.stream(n, bar)
+    with Progress(progress, None) as bar:
+        return stopping.run_until(target, run, bar)
 
 
 def integrate_each(
@@ -224,7 +224,7 @@ class Run:
             extra = {"index": job.index} if "value" in record else {}
             tally.add(state, record, **extra)
         elif self.items:
-            if name == self.apart:
+            if name == self.apart and self.spread:
                 self.spread.begin(job.replicate[0])
             # Lanes are integrals: drop the lanes behind the last one.
             count = len(range(*job.items.indices(self.items)))
