@@ -13,7 +13,7 @@ from ..transport.integrands import intersect, irradiance, path_integrand
 from ..transport.materials import Diffuse, Mirror
 from ..transport.primitives import Quad, Sphere
 from ..transport.scene import Scene
-from .strained_scenes import BALL, BLACK, EDGE_U, EDGE_V, FOOT, GREY, TURN, UP, Z, cube
+from .strained_scenes import BLACK, FOOT, GREY, TURN, UP, Z, cube
 from .stress import common_points, in_both
 
 LAST = 1.0 - 2.0**-24  # the largest float32 below 1
@@ -88,7 +88,7 @@ def limits(dim, n, seed=0) -> np.ndarray:
 
 def gallery() -> tuple[Scene, object]:
     """Return a turned, coloured room with every kind of surface and light, under a sky, and a camera."""
-    walls = [Quad(TURN @ c, TURN @ u, TURN @ v, GREY) for c, u, v in cube()[:4]]
+    walls = [Quad(TURN @ c, TURN @ u, TURN @ v, GREY) for c, u, v in cube()[:2]]
     lamp = Quad(TURN @ (0.3, 0.3, 0.95), TURN @ (0.0, 0.3, 0.0), TURN @ (0.3, 0.0, 0.0), Diffuse((0.1, 0.5, 0.9)), 4.0)
     balls = [
         Sphere(TURN @ (0.25, 0.3, 0.2), 0.2, Mirror(0.9)), Sphere(TURN @ (0.7, 0.3, 0.3), 0.1, GREY, (5.0, 1.0, 2.0)),
@@ -103,11 +103,10 @@ def at_limits(n=256) -> dict[str, tuple[int, int]]:
     interval, and of how many: not finite, negative, or a direction that is not a unit vector above its surface.
     """
     found = {}
-    for lights in ("mis", "nee", "none"):
-        for directions in ("cosine", "uniform"):
-            make = partial(path_integrand, *gallery(), bounces=4, directions=directions, lights=lights)
-            values = np.asarray(make().batch(limits(make().dim, n)), np.float64)
-            found[f"paths, {lights}, {directions}"] = int((~(np.isfinite(values) & (values >= 0.0))).sum()), values.size
+    for lights, directions in (("mis", "cosine"), ("nee", "uniform"), ("none", "cosine")):
+        paths = path_integrand(*gallery(), bounces=4, directions=directions, lights=lights)
+        values = np.asarray(paths.batch(limits(paths.dim, n)), np.float64)
+        found[f"paths, {lights}, {directions}"] = int((~(np.isfinite(values) & (values >= 0.0))).sum()), values.size
     u = np.stack(np.meshgrid([0.0, 2.0**-33, 0.5, LAST], [0.0, 2.0**-33, 0.25, 0.5, 0.75, LAST])).reshape(2, -1)
     for warp in (warps.sample_cosine_hemisphere, warps.sample_uniform_hemisphere):
         wi = np.stack(np.broadcast_arrays(*warp(*u.astype(np.float32)))).astype(np.float64)
@@ -130,6 +129,6 @@ def overflow(n=1 << 14) -> dict[str, int]:
 
 
 def _blinding(emission):
-    return irradiance(
-        Scene([Quad(0.5 * BALL, EDGE_V, EDGE_U, BLACK, emission)]), np.zeros(3), Z, bounces=0, lights="nee"
-    )
+    """Return the irradiance from a lamp so near that some samples are larger than its radiance, others smaller."""
+    lamp = Quad((-0.4, -0.4, 0.3), (0.0, 0.8, 0.0), (0.8, 0.0, 0.0), BLACK, emission)
+    return irradiance(Scene([lamp]), np.zeros(3), Z, bounces=0, lights="nee")
