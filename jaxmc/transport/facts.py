@@ -1,7 +1,7 @@
 """What is known of a scene before any ray: where it lies, what touches what, what can cast a shadow.
 
-All of it is computed once, in float64, from the primitives as the user gave them. ``eps`` is the rounding of the
-kernel's numbers. While JAX traces the geometry nothing is known, and every answer is the safe one.
+All of it is computed once, in float64, from the primitives as the user gave them. While JAX traces the geometry nothing
+is known, and every answer is the safe one.
 """
 
 import dataclasses
@@ -12,18 +12,19 @@ import numpy as np
 
 from .primitives import Quad, Sphere, is_concrete
 
-LARGE = 16.0  # a primitive is large if it is so many times as large as all the smaller ones together
+LARGE = 16.0  # the largest primitive counts as large if it has so many times the size of all the others together
 TIGHT = 1e-3  # of the scene: a gap in which rounding would be felt
 
 
 class Layout(NamedTuple):
     """Where a scene lies. Coordinates of the kernel are relative to ``middle``, shape (3,), which float32 holds
-    exactly; ``extent`` is the largest of them by size. ``large`` are the primitives left out of both. All primitives
-    lie within the distance ``reach`` from the middle.
+    exactly; ``extent`` is the largest of them by size. ``grain`` is the rounding of a coordinate, the user's own
+    included. ``large`` are the primitives left out of all three. All primitives lie within ``reach`` of the middle.
     """
 
     middle: np.ndarray
     extent: float
+    grain: float
     large: tuple[int, ...]
     reach: float
 
@@ -37,41 +38,61 @@ def is_known(primitives) -> bool:
 
 def check_range(primitives) -> None:
     """Raise ``ValueError`` where squares of lengths would leave the range of the kernel's numbers."""
-    least = float(jnp.finfo(jnp.result_type(float)).tiny) ** 0.4
+    kind = jnp.result_type(float)
+    least = float(jnp.finfo(kind).tiny) ** 0.4
     for p in primitives:
         if not is_known([p]):
             continue
         sizes = [p.radius] if isinstance(p, Sphere) else [np.linalg.norm(p.edge_u), np.linalg.norm(p.edge_v)]
-        far = np.abs(p.center if isinstance(p, Sphere) else p.corner).max()
-        if min(sizes) < least or max(*sizes, far) > 1.0 / least:
+        lengths = [*sizes, np.abs(p.center if isinstance(p, Sphere) else p.corner).max()]
+        if min(sizes) < least or max(lengths) > 1.0 / least:
+            wrong = min(sizes) if min(sizes) < least else max(lengths)
             raise ValueError(
-                f"{type(p).__name__} of size {min(sizes):g} at a distance of {far:g}: {jnp.result_type(float)} holds "
-                f"squares of lengths from {least:.0e} to {1 / least:.0e} only; scale the scene"
+                f"a {type(p).__name__} has a length of {wrong:g}, but {kind} holds the squares of lengths from "
+                f"{least:.0e} to {1.0 / least:.0e} only; scale the scene"
             )
+
+
+def check_radiances(name, colors) -> None:
+    """Raise ``ValueError`` where a radiance is too large for the kernel's numbers, or so small that they make it 0."""
+    kind = jnp.result_type(float)
+    least, most = float(jnp.finfo(kind).tiny), float(jnp.finfo(kind).max)
+    for c in (c for rgb in colors for c in rgb):
+        if is_concrete(c) and c != 0.0 and not least <= abs(c) <= most:
+            raise ValueError(f"{name} {c:g} lies outside {kind}, which goes from {least:.0e} to {most:.0e}; scale it")
 
 
 def layout(primitives) -> Layout:
     """Return where a scene lies.
 
     A scene that lies farther from the origin than its own size is given relative to its middle, so that moving a scene
-    costs no digits. A ground of a thousand times its size does not count: what happens, happens on a small part of it.
+    costs no digits. A ground of many times its size does not count: what happens, happens on a small part of it.
     """
-    known = [i for i, p in enumerate(primitives) if is_known([p])]
-    boxes = {i: _box(primitives[i]) for i in known}
-    together, large = None, []
-    for i in sorted(known, key=lambda i: _size(boxes[i])):
-        if together is not None and _size(boxes[i]) > LARGE * _size(together):
-            large.append(i)
-        else:
-            together = boxes[i] if together is None else _union(together, boxes[i])
-    if together is None:
-        return Layout(np.zeros(3), 1e-30, (), np.inf)
+    boxes = {i: _box(p) for i, p in enumerate(primitives) if is_known([p])}
+    if not boxes:
+        return Layout(np.zeros(3), 1e-30, 0.0, (), np.inf)
+    rest, large = sorted(boxes, key=lambda i: _size(boxes[i])), []
+    while len(rest) > 1 and _size(boxes[rest[-1]]) > LARGE * _size(_union(boxes[i] for i in rest[:-1])):
+        large.append(rest.pop())
+    together = _union(boxes[i] for i in rest)
     middle = together.mean(0).astype(np.float32).astype(np.float64)
-    if len(known) < len(primitives) or np.abs(middle).max() <= _size(together):
+    if len(boxes) < len(primitives) or np.abs(middle).max() <= _size(together):
         middle = np.zeros(3)
     farthest = max(np.linalg.norm(np.abs(box - middle).max(0)) for box in boxes.values())
-    reach = float(farthest) if len(known) == len(primitives) else np.inf
-    return Layout(middle, float(np.abs(together - middle).max()), tuple(sorted(large)), reach)
+    reach = float(farthest) if len(boxes) == len(primitives) else np.inf
+    extent = float(np.abs(together - middle).max())
+    grain = _eps(float) * extent + max(_given_eps(primitives[i]) for i in rest) * float(np.abs(together).max())
+    return Layout(middle, extent, grain, tuple(sorted(large)), reach)
+
+
+def _eps(kind):
+    return float(jnp.finfo(jnp.result_type(kind)).eps)
+
+
+def _given_eps(p):
+    """Return the rounding of the numbers that a primitive was given in."""
+    arrays = [np.asarray(x) for x in ((p.corner, p.edge_u, p.edge_v) if isinstance(p, Quad) else (p.center,))]
+    return max(float(np.finfo(a.dtype if a.dtype.kind == "f" else np.float64).eps) for a in arrays)
 
 
 def moved(primitive, offset):
@@ -89,8 +110,9 @@ def _box(p):
     return np.stack([center - p.radius, center + p.radius])
 
 
-def _union(a, b):
-    return np.stack([np.minimum(a[0], b[0]), np.maximum(a[1], b[1])])
+def _union(boxes):
+    lower, upper = zip(*boxes)
+    return np.stack([np.min(lower, 0), np.max(upper, 0)])
 
 
 def _size(box):
@@ -120,12 +142,12 @@ class Touch(NamedTuple):
     tight: bool
 
 
-def touch(primitives, normals, extent, eps) -> Touch:
+def touch(primitives, normals, layout: Layout) -> Touch:
     """Return what primitives have to do with each other; ``normals`` are those of the quads, None for spheres."""
     count = len(primitives)
     if not is_known(primitives):
         return Touch(((),) * count, (False,) * count, tuple(range(count)), (), True)
-    slack = 8.0 * eps * extent
+    slack = 4.0 * layout.grain
     quad = np.array([n is not None for n in normals], bool)
     normal = np.array([(0.0, 0.0, 0.0) if n is None else n for n in normals]).reshape(-1, 3)
     points = np.array([_points(p) for p in primitives]).reshape(-1, 4, 3)
@@ -146,7 +168,7 @@ def touch(primitives, normals, extent, eps) -> Touch:
     flat = beyond <= slack
     same = (distance <= slack) & (np.abs(radius[:, None] - radius) <= slack)
     twins = other & ((both & flat & flat.T) | (neither & same))
-    tight = (beyond < TIGHT * extent) & both & other & ~twins
+    tight = (beyond < TIGHT * layout.extent) & both & other & ~twins
 
     lower, upper = points.min(1), points.max(1)
     apart = (lower[:, None] - upper > slack).any(-1) | (low > slack) | (high < -slack)

@@ -82,7 +82,8 @@ class Scene:
     Facts hold for the values that the scene was built with: to move things, build a new scene.
 
     Raises:
-        ValueError: something else in the list, or a sky that is no radiance.
+        ValueError: something else in the list, a sky that is no radiance, or lengths and radiances outside the range of
+            the kernel's numbers.
     """
 
     _data = (
@@ -119,16 +120,20 @@ class Scene:
         self.lights = tuple(i for i, c in enumerate(radiances) if not (is_concrete(c) and max(c) == 0.0))
         self.mirrors = tuple(i for i, p in enumerate(primitives) if isinstance(p.material, Mirror))
         facts.check_range(primitives)
-        layout, eps = facts.layout(primitives), float(jnp.finfo(jnp.result_type(float)).eps)
+        facts.check_radiances("emission", radiances)
+        facts.check_radiances("sky", _colors_of(sky))
+        layout = facts.layout(primitives)
         self.middle, self.reach = layout.middle.astype(jnp.result_type(float)), number(layout.reach)
         if layout.middle.any():
             primitives = [facts.moved(p, -layout.middle) for p in primitives]
         frames = [_quad_frame(p) if isinstance(p, Quad) else None for p in primitives]
-        touch = facts.touch(primitives, [f and f.normal for f in frames], layout.extent, eps)
+        touch = facts.touch(primitives, [f and f.normal for f in frames], layout)
         self.casters, self.empty, self.twins, self.tight = touch.casters, touch.empty, touch.twins, touch.tight
 
-        # Quads that touch each other overlap by rounding, so that no ray slips between them.
-        rounding = [0.0 if free else _rounding(f, layout.extent, eps) for f, free in zip(frames, touch.free)]
+        # Quads that touch each other overlap by rounding, so that no ray slips between them. The edges of a large one
+        # are far away.
+        alone = [free or i in layout.large for i, free in enumerate(touch.free)]
+        rounding = [0.0 if free else _rounding(f, layout.grain) for f, free in zip(frames, alone)]
         planes = [frames[min(i, *twins)] if twins else frames[i] for i, twins in enumerate(self.twins)]
         shape = [
             _quad_shape(f, planes[i], rounding[i]) if f else _sphere_shape(primitives[i], i in layout.large)
@@ -235,10 +240,10 @@ def _sphere_shape(sphere: Sphere, large) -> SphereShape:
     return SphereShape(center, radius, dot(center, center) - radius * radius if large else None)
 
 
-def _rounding(frame, extent, eps):
+def _rounding(frame, grain):
     """Return the rounding error of a hit in a quad's own coordinates, which run from -1 to 1; 0 for a sphere."""
     if frame is None:
         return 0.0
     shorter = jnp.minimum if not is_concrete(frame) else min
     half = shorter(dot(frame.half_u, frame.half_u) ** 0.5, dot(frame.half_v, frame.half_v) ** 0.5)
-    return 4.0 * eps * (1.0 + extent / half)
+    return 4.0 * (float(jnp.finfo(jnp.result_type(float)).eps) + grain / half)

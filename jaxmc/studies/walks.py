@@ -1,0 +1,153 @@
+"""Random walks that count what must not happen: a ray that leaves a closed room, or meets the surface that it leaves.
+
+The walks take the steps of the path tracer. Beside its way to keep a ray from its own surface stand two others: a
+constant offset of the ray's start, and leaving out the primitive that it comes from. Those know of no rounding error:
+they get walls that meet as they are given.
+"""
+
+import copy
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from ..integration.driver import integrate, integrate_each
+from ..integration.integrand import Integrand
+from ..transport import hits, shapes
+from ..transport.camera import Camera
+from ..transport.materials import reflect, sample_diffuse
+from ..transport.paths import emission_toward
+from ..transport.primitives import as_vec3
+from ..transport.scene import Scene
+from ..transport.sky import sky_radiance
+from ..transport.vec import Vec3, dot, normalize, where
+
+CHANNELS = ("events", "escapes", "self-hits", "inside a ball", "not finite", "radiance")
+
+
+def ours(scene, ray, own):
+    """Return the closest hit as the path tracer finds it."""
+    return hits.closest_hit(scene, ray, own)
+
+
+class Offset(NamedTuple):
+    """The closest hit of a ray whose start is moved along it by a constant length."""
+
+    epsilon: float
+
+    def __call__(self, scene, ray, own):
+        start = jnp.where(own < 0, 0.0, self.epsilon)
+        hit = hits.closest_hit(scene, ray._replace(origin=ray.origin + ray.direction * start))
+        return hit._replace(distance=hit.distance + start)
+
+
+def exclusion(scene, ray, own):
+    """Return the closest hit on any primitive but the one that the ray comes from."""
+    found = [hits.closest_hit(_alone(scene, i), ray) for i in range(scene.size)]
+    distance = jnp.stack([jnp.where(own == i, jnp.inf, one.distance) for i, one in enumerate(found)])
+    nearest = jnp.argmin(distance)
+    return hits.Hit(distance[nearest], jnp.where(distance[nearest] < jnp.inf, nearest, -1))
+
+
+def _alone(scene, i):
+    one = copy.copy(scene)
+    one.shapes, one.quads, one.spheres = scene.shapes[i : i + 1], scene.quads[i : i + 1], scene.spheres[i : i + 1]
+    one.twins = ((),)
+    return one
+
+
+def bare(scene) -> Scene:
+    """Return a scene without what the path tracer knows of rounding: quads that overlap, hits that are drawn inward."""
+    plain = copy.copy(scene)
+    plain.quads = tuple(q and dataclasses.replace(q, limit=np.ones_like(q.limit)) for q in scene.quads)
+    plain.inset = jax.tree.map(np.zeros_like, scene.inset)
+    plain.twins, plain.tight = ((),) * scene.size, False
+    return plain
+
+
+@dataclasses.dataclass(frozen=True)
+class Walk:
+    """A walk of so many events: its counts, in the order of ``CHANNELS``, and the radiance that it has met.
+
+    ``next_hit(scene, ray, own)`` returns where a ray that starts on primitive ``own`` ends.
+    """
+
+    next_hit: Callable
+    bounces: int
+    directions: str = "cosine"
+
+    def __call__(self, u, scene, start, pixel=None):
+        first, ray = _start(u, start, pixel)
+        hit = self.next_hit(scene, ray, -1)
+        one, none = jnp.ones(()), jnp.zeros(())
+        met = emission_toward(scene, ray, hit, None) + _sky(scene, ray, hit)
+        state = (ray, hits.Hit(hit.distance, jnp.asarray(hit.primitive)), one, jnp.stack([none] * 5 + [met]))
+
+        def event(state, k):
+            ray, hit, beta, counts = state
+            surface = hits.surface_at(scene, ray, hit)
+            wi, _, weight = sample_diffuse(self.directions, surface.normal, u[first + 2 * k], u[first + 2 * k + 1])
+            for i in scene.mirrors:
+                wi = where(surface.primitive == i, reflect(ray.direction, surface.normal), wi)
+            onward = shapes.ray(surface.point, wi)
+            after = self.next_hit(scene, onward, surface.primitive)
+            beta = beta * surface.reflectance * weight
+            alive, sphere, inward = hit.primitive >= 0, *_side(scene, surface)
+            again = (after.primitive == surface.primitive) & ~(sphere & inward)
+            finite = jnp.isfinite(dot(surface.point, surface.point)) & jnp.isfinite(dot(wi, wi))
+            trapped = sphere & inward & (_curvature(scene, surface.primitive) > 0.0)
+            happened = [alive, after.primitive < 0, again, trapped, ~finite]
+            new = [jnp.where(alive & x, 1.0, 0.0) for x in happened]
+            met = beta * (emission_toward(scene, onward, after, None) + _sky(scene, onward, after))
+            counts = counts + jnp.stack([*new, jnp.where(alive, met, 0.0)])
+            after = hits.Hit(after.distance, jnp.where(alive, after.primitive, -1))
+            return (onward, after, beta, counts), None
+
+        (*_, counts), _ = lax.scan(event, state, jnp.arange(self.bounces))
+        return counts
+
+
+def _start(u, start, pixel):
+    """Return the number of the first coordinate that is left, and the ray: of a camera's pixel, or the one given."""
+    if not isinstance(start, Camera):
+        return 0, shapes.ray(*start)
+    column, row = pixel % start.width, pixel // start.width
+    return 2, start.ray(column.astype(float) + u[0], row.astype(float) + u[1])
+
+
+def _sky(scene, ray, hit):
+    return 0.0 if scene.sky is None else jnp.where(hit.primitive < 0, sky_radiance(scene.sky, ray.direction), 0.0)
+
+
+def _curvature(scene, i):
+    return 0.0 * i if scene.inverse_radius is None else scene.inverse_radius.at(i)
+
+
+def _side(scene, surface):
+    """Return whether a surface is a sphere, and whether the path is inside it."""
+    center = Vec3(*(table.at(surface.primitive) for table in scene.anchor))
+    return _curvature(scene, surface.primitive) != 0.0, dot(surface.normal, surface.point - center) < 0.0
+
+
+def count(scene, origin, toward, *, next_hit=ours, events, bounces, directions="cosine", key=0, progress=None) -> dict:
+    """Walk for about ``events`` events from a point of a closed room and return how often each thing happened."""
+    direction = normalize(as_vec3("toward", toward))
+    start = scene.local(as_vec3("origin", origin)), Vec3(*map(np.asarray, direction))
+    paths = max(1, events // bounces)
+    walk = Integrand(Walk(next_hit, bounces, directions), 2 * bounces, (scene, start), lazy=True)
+    estimate = integrate(walk, n=paths, key=key, progress=progress)
+    totals = np.asarray(estimate.mean, np.float64)[:-1] * paths
+    return dict(zip(CHANNELS, np.round(totals).astype(int).tolist())) | {"not finite": estimate.nonfinite}
+
+
+def picture(scene, camera, *, next_hit=ours, spp, bounces=4, key=0, progress=None) -> np.ndarray:
+    """Return the radiance of a grey scene, shape (height, width, 3), by walks that wait until they meet a light."""
+    local = dataclasses.replace(camera, origin=scene.local(camera.origin))
+    walk = Integrand(Walk(next_hit, bounces), 2 + 2 * bounces, (scene, local), lazy=True)
+    estimate = integrate_each(walk, camera.width * camera.height, n=spp, key=key, progress=progress)
+    radiance = np.asarray(estimate.mean)[:, -1].reshape(camera.height, camera.width)
+    return np.repeat(radiance[..., None], 3, axis=-1)
