@@ -79,7 +79,7 @@ def __getattr__(name: str):
 
 @functools.cache
 def _all() -> tuple[AnalyticScene, ...]:
-    """Return the default scenes. All have a relative variance below 10, most below 1."""
+    """Return the default scenes. All have a relative variance below 8, most below 1."""
     return (
         cube_furnace(),
         cube_furnace(directions="uniform"),
