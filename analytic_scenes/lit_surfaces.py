@@ -117,7 +117,7 @@ def sphere_light_over_rectangle(
         "elementary: the sphere is a point source; " + SPHERE_SOURCE,
         geometry="A sphere hangs over a floor; the irradiance is averaged over a rectangle, as a pixel does.",
         law=law,
-        view=plate_view([light, mc.Quad(**rectangle)], size=1.5 * height),
+        view=plate_view([light], size=1.5 * height),
     )
 
 
@@ -161,7 +161,7 @@ def orb_over_floor(
         "complement of the sky that the sphere hides; " + SPHERE_SOURCE,
         geometry="A luminous sphere hangs over a diffuse floor under a uniform sky; a floor point is seen from above.",
         law=law,
-        view=_floor_view([light], sky, albedo, height + radius + offset),
+        view=plate_view([light], sky=sky, size=height + radius),
     )
 
 
@@ -196,7 +196,7 @@ def ceiling_lamp(
         "Howell's catalog, configuration B-3",
         geometry="A square lamp of fixed power in the ceiling; the floor point below its middle is seen from above.",
         law=law,
-        view=_floor_view([lamp], None, albedo, 1.5 * height),
+        view=plate_view([lamp], size=1.5 * height),
     )
 
 
@@ -238,16 +238,8 @@ def _check_above(radius, height):
         raise ValueError(f"the sphere must be above the floor: 0 < radius <= height; got {radius} and {height}")
 
 
-def _floor(albedo, center=(0.0, 0.0, 0.0), side=2.0):
-    corner = np.asarray(center) - (side / 2, side / 2, 0.0)
-    return mc.Quad(corner, (side, 0.0, 0.0), (0.0, side, 0.0), mc.Diffuse(albedo))
-
-
 def _seen_from_above(primitives, sky, albedo, point, height, strategy):
     """Return the radiance of a floor point seen from ``height`` straight above; its floor is as small as you like."""
-    scene = mc.Scene([*primitives, _floor(albedo, point)], sky)
+    floor = mc.Quad(np.asarray(point) - (1.0, 1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0), mc.Diffuse(albedo))
+    scene = mc.Scene([*primitives, floor], sky)
     return mc.radiance(scene, (point[0], point[1], height), (0.0, 0.0, -1.0), **strategy)
-
-
-def _floor_view(primitives, sky, albedo, size):
-    return plate_view([*primitives, _floor(albedo, side=3 * size)], size=size, sky=sky or 0.02)

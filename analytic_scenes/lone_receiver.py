@@ -96,20 +96,28 @@ def described(strategy: Mapping) -> str:
     return f"lights={strategy['lights']}" if strategy["lights"] != "none" else f"{strategy['directions']} directions"
 
 
-def plate_view(primitives, normal=UP, size: float = 3.0, sky: float = 0.2) -> Callable:
-    """Return a view of primitives from the side, with a plate where the receiver is; ``size``: what is to be seen."""
+def plate_view(primitives, normal=UP, *, size: float = 3.0, sky=0.02, eye=(0.5, -2.0, 0.4)) -> Callable:
+    """Return a view of primitives and a diffuse plate at the receiver, on which their light and shadow fall.
+
+    ``size`` is about how far they reach, and the unit of ``eye``. The plate is small where a light is partly below it.
+    """
 
     def view():
         n = unit(normal)
-        u = 0.1 * size * unit(np.cross(n, np.eye(3)[np.argmin(np.abs(n))]))
+        side = 0.2 * size if any(_lowest(p, n) < 0 for p in primitives if p.emission) else 3.0 * size
+        u = side * unit(np.cross(n, np.eye(3)[np.argmin(np.abs(n))]))
         v = np.cross(n, u)
         plate = mc.Quad(-0.5 * (u + v), u, v, mc.Diffuse(0.7))
-        camera = mc.PinholeCamera(
-            (0.6 * size, -2.2 * size, 1.1 * size), (0.0, 0.0, 0.3 * size), up=UP, fov=45.0, width=128, height=96
-        )
+        camera = mc.PinholeCamera(np.multiply(size, eye), (0.0, 0.0, 0.3 * size), up=UP, fov=45.0, width=128, height=96)
         return mc.Scene([*primitives, plate], sky), camera
 
     return view
+
+
+def _lowest(primitive, normal):
+    if isinstance(primitive, mc.Sphere):
+        return np.dot(primitive.center, normal) - primitive.radius
+    return (vertices(primitive.corner, primitive.edge_u, primitive.edge_v) @ normal).min()
 
 
 def unit(vector) -> np.ndarray:

@@ -124,7 +124,7 @@ def sphere_light_in_mirror_ball(
         geometry="A sphere shines on a point by way of a mirror ball, and directly where it is above the horizon.",
         law=law,
         strategy=strategy,
-        view=plate_view([light, ball], sky=0.05),
+        view=plate_view([light, ball], sky=0.05, eye=(0.3, -1.5, 0.1)),
     )
 
 
@@ -144,7 +144,7 @@ def mirror_ball_caustic(
     scene = mc.Scene([ball, floor])
     value = irradiance * radius**2 / (outer**2 - inner**2)
     params = (scene, value, radius, height + radius, inner, outer)
-    lamp = mc.Quad((-0.5, -0.5, 2 * height), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), mc.Diffuse(0.0), 10.0)
+    lamp = black_sphere((0.0, 0.0, 5.0 * height), 0.4 * height, 100.0)
 
     def law(exact) -> Law:
         return law_of_values([[exact / value]], [[value]])
@@ -157,7 +157,7 @@ def mirror_ball_caustic(
         "flux between two cones of rays; Burkhard and Shealy (1973)",
         geometry="Parallel light falls on a mirror ball, which throws it on an annulus of floor.",
         law=law,
-        view=plate_view([ball, floor, lamp], size=1.2 * (height + radius)),
+        view=plate_view([ball, lamp], size=height + radius, eye=(0.3, -1.6, 1.4)),
     )
 
 

@@ -21,7 +21,7 @@ from analytic_scenes.scene import AnalyticScene, value_of
 
 
 def default_scenes() -> tuple[AnalyticScene, ...]:
-    """Return the default configurations, of relative variance below 10."""
+    """Return the default configurations, of relative variance below 8."""
     return sphere_light_between_mirrors(), sphere_light_in_corner()
 
 
@@ -78,6 +78,7 @@ def sphere_light_between_mirrors(
         bounces,
         lights,
         "A sphere hangs between two parallel mirrors that face each other, and shines on a point between them.",
+        (0.1, -1.2, 0.4),
     )
 
 
@@ -115,10 +116,11 @@ def sphere_light_in_corner(
         3,
         lights,
         "A sphere in the corner of two walls and a ceiling, all mirrors, shines on a point in the same corner.",
+        (0.9, 1.2, 0.05),
     )
 
 
-def _room_scene(name, formula, arguments, center, emission, images, mirrors, bounces, lights, geometry):
+def _room_scene(name, formula, arguments, center, emission, images, mirrors, bounces, lights, geometry, eye):
     radius, reflectance = arguments["radius"], arguments["reflectance"]
     for (_, first), (_, second) in itertools.combinations(images, 2):
         check_apart(np.asarray(first)[None], np.asarray(second)[None], radius)
@@ -140,6 +142,7 @@ def _room_scene(name, formula, arguments, center, emission, images, mirrors, bou
         {},
         {"bounces": bounces, "directions": "cosine", "lights": lights},
         law,
+        eye,
     )
 
 

@@ -193,7 +193,9 @@ def rectangle_light_in_small_mirror(
     )
 
 
-def mirror_scene(name, formula, arguments, light, mirrors, source, geometry, constants, strategy, law=None):
+def mirror_scene(
+    name, formula, arguments, light, mirrors, source, geometry, constants, strategy, law=None, eye=(0.3, -1.5, 0.1)
+):
     """Return the irradiance from a light and its images; ``law(exact)`` by default is that of one reflection."""
     direct = _direct(light)
 
@@ -213,7 +215,7 @@ def mirror_scene(name, formula, arguments, light, mirrors, source, geometry, con
         law=law or one_reflection,
         strategy=strategy,
         constants=constants,
-        view=plate_view([light, *mirrors], sky=0.05),
+        view=plate_view([light, *mirrors], sky=0.05, eye=eye),
     )
 
 

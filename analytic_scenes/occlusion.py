@@ -206,7 +206,7 @@ def open_pixel_under_sphere(
         SOURCE + "the sphere is a point source, its flux a solid angle",
         geometry="A black sphere hangs over a white floor under a uniform sky; a camera sees a square pixel of it.",
         law=lambda exact: law_of_hits((exact, WHITE)),
-        view=plate_view([blocker, floor], sky=1.0, size=height + radius),
+        view=plate_view([blocker], sky=1.0, size=height + radius),
     )
 
 

@@ -149,14 +149,14 @@ def rectangle_behind_rectangle(
     corner=(-1.5, -1.2, 1.5),
     edge_u=(0.0, 2.4, 0.0),
     edge_v=(3.0, 0.0, 0.0),
-    blocker_corner=(0.1, -20.0, 1.0),
-    blocker_edge_u=(40.0, 0.0, 0.0),
-    blocker_edge_v=(0.0, 40.0, 0.0),
+    blocker_corner=(0.1, -1.5, 1.0),
+    blocker_edge_u=(3.0, 0.0, 0.0),
+    blocker_edge_v=(0.0, 3.0, 0.0),
     normal=UP,
     *,
     lights: str = "none",
 ) -> AnalyticScene:
-    """Return the irradiance from a parallelogram behind another; by default one edge of a large one hides half of it.
+    """Return the irradiance from a parallelogram behind another; by default one edge of it hides half of the light.
 
     With lights="nee" no sampled point depends on the blocker, so the derivative with respect to it is all edge.
     """
@@ -199,6 +199,7 @@ def _shadow_scene(what, by, formula, arguments, light, blocker, emission, normal
         strategy=strategy,
         constants={"normal": unit(normal)},
         normal=normal,
+        view=plate_view([light, blocker], normal, eye=(0.5, -2.0, 0.3)),
     )
 
 

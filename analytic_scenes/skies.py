@@ -100,7 +100,7 @@ def tilted_under_sky(
         strategy={"bounces": 0, "directions": directions, "lights": "none"},
         normal=normal,
         sky=sky,
-        view=plate_view([], normal, sky=sky, size=1.0),
+        view=plate_view([], normal, sky=sky, size=1.0, eye=(0.8, -3.0, 1.0)),
     )
 
 
