@@ -114,20 +114,8 @@ def __getattr__(name: str):
 
 @functools.cache
 def _all() -> tuple[AnalyticScene, ...]:
-<<<<<<< HEAD
-    """Return the default scenes. All have a relative variance below 10, most below 1."""
-    return tuple(scene for family in FAMILIES for scene in family.default_scenes())
-=======
     """Return the default scenes. All have a relative variance below 8, most below 1."""
-    return (
-        cube_furnace(),
-        cube_furnace(directions="uniform"),
-        sphere_furnace(),
-        sphere_furnace(directions="uniform"),
-        *(scene for family in FAMILIES for scene in family.default_scenes()),
-        throughput_product(),
-    )
->>>>>>> cat-b
+    return tuple(scene for family in FAMILIES for scene in family.default_scenes())
 
 
 __all__ = [
