@@ -102,7 +102,7 @@ class _KnownAtTheEnd:
             last = surface_at(scene, state.ray, state.hit)
             return jnp.where(state.hit.primitive >= 0, state.beta * last.reflectance * incident, 0.0)
 
-        start = shapes.ray(origin, direction)
+        start = shapes.ray(scene.local(origin), direction)
         collected, ends = trace(scene, self.strategy, u, 0, start, reflected)
         return collected + jnp.asarray(ends)[-1]
 

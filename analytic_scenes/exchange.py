@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxmc as mc
-from analytic_scenes import view_factors
+from analytic_scenes import sensors, view_factors
 from analytic_scenes.furnace import looking_along
 from analytic_scenes.integrating_sphere import cap_share
-from analytic_scenes.receivers import cap_to_cap, disk_to_disk, mean_over, on_disk, on_quad, on_sphere
+from analytic_scenes.receivers import cap_to_cap, disk_to_disk, on_disk, on_sphere
 from analytic_scenes.scene import AnalyticScene, value_and_derivatives, variance_and_kurtosis
+from analytic_scenes.sensors import on_parallelogram
 
 WHITE = 1.0 / math.pi  # the radiance of a surface that emits 1 W/m^2
 BLACK = mc.Diffuse(0.0)
@@ -51,7 +52,7 @@ def facing_rectangles(
         view_factors.facing_rectangles_factor,
         {"width": width, "depth": depth, "distance": distance},
         emission,
-        mean_over([light], on_quad, receiver, lights),
+        sensors.mean_irradiance(mc.Scene([light]), on_parallelogram, receiver, bounces=0, lights=lights),
         lights,
         "section C-11",
         "Two equal rectangles, one straight above the other; the upper one shines down on the lower.",
@@ -75,7 +76,7 @@ def standing_rectangle(
         view_factors.standing_rectangle_factor,
         {"depth": depth, "height": height, "width": width},
         emission,
-        mean_over([wall], on_quad, receiver, lights),
+        sensors.mean_irradiance(mc.Scene([wall]), on_parallelogram, receiver, bounces=0, lights=lights),
         lights,
         "section C-14",
         "A rectangular wall stands on the edge of a rectangular floor of the same width and shines on it.",
@@ -107,7 +108,7 @@ def offset_rectangles(
         view_factors.parallel_rectangles_factor,
         {"corner": corner, "size": size, "other_corner": light_corner, "other_size": light_size, "distance": distance},
         emission,
-        mean_over([light], on_quad, receiver, lights),
+        sensors.mean_irradiance(mc.Scene([light]), on_parallelogram, receiver, bounces=0, lights=lights),
         lights,
         "section C-13",
         "A rectangle of the floor, and a rectangular lamp in the ceiling beside it; sides parallel to x and y.",
@@ -156,7 +157,7 @@ def two_spheres(
         view_factors.spheres_factor,
         {"radius": radius, "other_radius": other_radius, "distance": distance},
         emission,
-        mean_over([light], on_sphere, receiver, lights),
+        sensors.mean_irradiance(mc.Scene([light]), on_sphere, receiver, bounces=0, lights=lights),
         lights,
         "spheres of two sizes (Juul 1976; Felske 1978)",
         "Two spheres apart from each other; one shines on the other.",
@@ -184,7 +185,7 @@ def sphere_over_disk(
         _table_factor,
         {"radius": radius, "disk_radius": disk_radius, "distance": distance},
         emission,
-        mean_over([light], on_disk, receiver, lights),
+        sensors.mean_irradiance(mc.Scene([light]), on_disk, receiver, bounces=0, lights=lights),
         lights,
         "section C, sphere to coaxial disk",
         "A disk, and a sphere that shines on it from straight above.",
@@ -206,7 +207,7 @@ def inner_sphere(
         view_factors.outer_to_inner_sphere_factor,
         {"inner_radius": inner_radius, "outer_radius": outer_radius},
         emission,
-        mean_over([light], on_sphere, receiver, lights),
+        sensors.mean_irradiance(mc.Scene([light]), on_sphere, receiver, bounces=0, lights=lights),
         lights,
         "section C, sphere within a sphere; reciprocity",
         "A sphere shines inside a larger one, aside from its centre; the receiver is all of the larger one's inside.",

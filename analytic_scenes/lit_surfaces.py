@@ -23,7 +23,7 @@ from analytic_scenes.lone_receiver import (
     plate_view,
 )
 from analytic_scenes.scene import AnalyticScene
-from analytic_scenes.sensors import mean_irradiance, mean_radiance
+from analytic_scenes.sensors import mean_irradiance, mean_radiance, on_parallelogram
 
 SUN = 1e-3  # angular radius of the distant light; its size and its distance change the answer by 1e-6 of it
 
@@ -96,7 +96,7 @@ def sphere_light_over_rectangle(
     if not (x0 < x1 and y0 < y1):
         raise ValueError(f"a rectangle with x0 < x1 and y0 < y1 is needed; got [{x0}, {x1}] x [{y0}, {y1}]")
     light = black_sphere((0.0, 0.0, height), radius, emission)
-    rectangle = {"corner": (x0, y0, 0.0), "edge_u": (x1 - x0, 0.0, 0.0), "edge_v": (0.0, y1 - y0, 0.0)}
+    rectangle = (x0, y0, 0.0), (x1 - x0, 0.0, 0.0), (0.0, y1 - y0, 0.0)
     strategy = {"bounces": 0, "directions": directions, "lights": lights}
 
     def of_cones(order):
@@ -113,7 +113,7 @@ def sphere_light_over_rectangle(
         f"sphere light over a rectangle, {described(strategy)}",
         rectangle_under_sphere,
         {"emission": emission, "radius": radius, "height": height, "x0": x0, "x1": x1, "y0": y0, "y1": y1},
-        mean_irradiance(mc.Scene([light]), **rectangle, **strategy),
+        mean_irradiance(mc.Scene([light]), on_parallelogram, rectangle, **strategy),
         "elementary: the sphere is a point source; " + SPHERE_SOURCE,
         geometry="A sphere hangs over a floor; the irradiance is averaged over a rectangle, as a pixel does.",
         law=law,

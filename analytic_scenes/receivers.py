@@ -1,35 +1,21 @@
-"""Receivers of some extent: integrands of the irradiance in the mean over a surface.
+"""Receivers of some extent, for ``sensors.mean_irradiance``, and means over disks and caps by directions.
 
-Two coordinates place a point on the receiver, the rest sample the light or a direction. A receiver is a function
-``place(u1, u2, *shape) -> (point, normal)`` that is uniform by area.
+A receiver is a function ``place(u1, u2, *shape) -> (point, normal)`` that is uniform by area.
 """
 
 import dataclasses
 import math
-from collections.abc import Callable
 
 import jax.numpy as jnp
-import numpy as np
 
 import jaxmc as mc
 from analytic_scenes.cavity import Walk, everywhere, inside_cap
-from jaxmc.transport.vec import Vec3, cross, normalize
+from jaxmc.transport.vec import Vec3
 from jaxmc.transport.warps import sample_cosine_hemisphere, sincos_2pi
 
 PLACE = ("receiver: first", "receiver: second")
 DIRECTION = ("direction: polar", "direction: azimuth")
 UP = (0.0, 0.0, 1.0)
-
-
-def mean_over(primitives, place: Callable, shape, lights: str = "nee", *, bounces: int = 0) -> mc.Integrand:
-    """Return the irradiance from the lights among ``primitives`` in the mean over the receiver ``place(.., *shape)``.
-
-    The items of ``shape`` are numbers and vectors of shape (3,). Options as in ``mc.irradiance``.
-    """
-    shape = tuple(Vec3(*map(float, item)) if np.ndim(item) else float(item) for item in shape)
-    fixed = mc.irradiance(mc.Scene(primitives), (0.0, 0.0, 0.0), UP, bounces=bounces, lights=lights)
-    fn = _MeanIrradiance(fixed.fn, place)
-    return mc.Integrand(fn, fixed.dim + 2, (fixed.params[0], shape), lazy=True, labels=(*PLACE, *fixed.labels))
 
 
 def disk_to_disk(radius: float, other_radius: float, distance: float, emission: float) -> mc.Integrand:
@@ -51,11 +37,6 @@ def cap_to_cap(half_angle: float, other_half_angle: float, emission: float) -> m
     return mc.Integrand(fn, 4, params, lazy=True, labels=(*PLACE, *DIRECTION))
 
 
-def on_quad(u1, u2, corner: Vec3, edge_u: Vec3, edge_v: Vec3):
-    """Return a point of a parallelogram and its normal, along cross(edge_u, edge_v)."""
-    return corner + edge_u * u1 + edge_v * u2, normalize(cross(edge_u, edge_v))
-
-
 def on_disk(u1, u2, center: Vec3, radius):
     """Return a point of a horizontal disk and its normal +z."""
     sine, cosine = sincos_2pi(u2)
@@ -75,28 +56,6 @@ def _in_cap(u1, u2, cos_half_angle):
     sine, cosine = sincos_2pi(u2)
     across = jnp.sqrt(jnp.maximum(1.0 - height * height, 0.0))
     return Vec3(across * cosine, across * sine, height)
-
-
-class _After:
-    """The coordinates of a point after the first ``skip``."""
-
-    def __init__(self, u, skip):
-        self.u, self.skip = u, skip
-
-    def __getitem__(self, k):
-        return self.u[k + self.skip]
-
-
-@dataclasses.dataclass(frozen=True)
-class _MeanIrradiance:
-    """Irradiance at a point that the first two coordinates place; ``at_point`` is the function of ``mc.irradiance``."""
-
-    at_point: Callable
-    place: Callable
-
-    def __call__(self, u, scene, shape):
-        point, normal = self.place(u[0], u[1], *shape)
-        return self.at_point(_After(u, 2), scene, point, normal)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,14 +17,14 @@ UP = (0.0, 0.0, 1.0)
 ORIGIN = (0.0, 0.0, 0.0)
 
 
-def mean_irradiance(scene: mc.Scene, corner, edge_u, edge_v, **strategy) -> mc.Integrand:
-    """Return the mean irradiance on a parallelogram, as an integrand; options of ``mc.irradiance``.
+def mean_irradiance(scene: mc.Scene, place: Callable, shape, **strategy) -> mc.Integrand:
+    """Return the mean irradiance on a receiver, as an integrand; options of ``mc.irradiance``.
 
-    The receiver faces along cross(edge_u, edge_v) and is no part of the scene. One that lies on a primitive, to
-    rounding, is not shadowed by it.
+    ``place(u1, u2, *shape) -> (point, normal)`` is uniform by area; the items of ``shape`` are numbers and vectors of
+    shape (3,). The receiver is no part of the scene. One that lies on a primitive, to rounding, is not shadowed by it.
     """
     at_point = mc.irradiance(scene, ORIGIN, UP, **strategy)
-    return _placed(at_point, at_point.dim, on_parallelogram, (corner, edge_u, edge_v), "receiver")
+    return _placed(at_point, at_point.dim, place, shape, "receiver")
 
 
 def mean_radiance(scene: mc.Scene, center, radius: float, direction, **strategy) -> mc.Integrand:
@@ -98,4 +98,4 @@ class _Placed:
 
     def __call__(self, u, scene, shape):
         point, direction = self.place(u[0], u[1], *shape)
-        return self.fn(_After(u), scene, point, direction)
+        return self.fn(_After(u), scene, scene.local(point), direction)

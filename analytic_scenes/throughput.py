@@ -188,7 +188,7 @@ class _Walk:
         def throughput(surface, state):
             return jnp.where((surface.primitive >= 0) | (self.measure is jnp.log), state.beta, 0.0)
 
-        _, seen = trace(scene, self.strategy, u, 0, shapes.ray(origin, direction), throughput)
+        _, seen = trace(scene, self.strategy, u, 0, shapes.ray(scene.local(origin), direction), throughput)
         return self.measure(jnp.asarray(seen)[-1], *parameters)
 
 

@@ -43,7 +43,8 @@ FORMULAS = {
 }
 MODULES = (furnace, enclosures, integrating_sphere, view_factors, throughput, roulette)
 irradiance = jax.jit(scenes.sphere_irradiance)
-SCENES = tuple(scene for scene in scenes.ALL if scene.formula)
+FAMILIES = (furnace, enclosures, integrating_sphere, exchange, throughput, roulette)
+SCENES = tuple(scene for family in FAMILIES for scene in family.default_scenes() if scene.formula)
 
 
 def close(value, reference, rel=RTOL):

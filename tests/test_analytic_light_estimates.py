@@ -21,7 +21,11 @@ from jaxmc.testing import SIGMAS, assert_unbiased
 
 RANDOMISATIONS, POINTS = 32, 2**14
 LARGEST = np.nextafter(np.float32(1.0), np.float32(0.0))  # the largest coordinate
-DEFAULTS = [scene for family in scenes.FAMILIES for scene in family.default_scenes()]
+FAMILIES = (
+    scenes.lights, scenes.lit_surfaces, scenes.occlusion, scenes.skies, scenes.shadows, scenes.mirrors,
+    scenes.mirror_rooms, scenes.mirror_balls,
+)  # fmt: skip
+DEFAULTS = [scene for family in FAMILIES for scene in family.default_scenes()]
 
 
 @functools.cache

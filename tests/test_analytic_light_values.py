@@ -245,7 +245,11 @@ def test_mirror_light_is_dark_from_behind():
     assert value_of(small_mirror, light) == 0.0
 
 
-DEFAULTS = [scene for family in scenes.FAMILIES for scene in family.default_scenes()]
+FAMILIES = (
+    scenes.lights, scenes.lit_surfaces, scenes.occlusion, scenes.skies, scenes.shadows, scenes.mirrors,
+    scenes.mirror_rooms, scenes.mirror_balls,
+)  # fmt: skip
+DEFAULTS = [scene for family in FAMILIES for scene in family.default_scenes()]
 
 
 @pytest.mark.slow

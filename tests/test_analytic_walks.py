@@ -15,7 +15,7 @@ import pytest
 
 import analytic_scenes as scenes
 import jaxmc as mc
-from analytic_scenes import cavity, receivers
+from analytic_scenes import cavity, receivers, sensors
 from jaxmc.testing import SIGMAS, assert_unbiased
 from jaxmc.transport.vec import cross
 from jaxmc.transport.warps import sample_uniform_hemisphere
@@ -169,7 +169,7 @@ def placed_by(place):
 
 
 def normal_of_any_length(u1, u2, corner, edge_u, edge_v):
-    return receivers.on_quad(u1, u2, corner, edge_u, edge_v)[0], cross(edge_u, edge_v)
+    return sensors.on_parallelogram(u1, u2, corner, edge_u, edge_v)[0], cross(edge_u, edge_v)
 
 
 def radius_is_uniform(u1, u2, center, radius):

@@ -44,7 +44,8 @@ def light_of(primitive):
 
 def quad_by_area():
     """Return points on a parallelogram, in its own coordinates, of a density 1 / area."""
-    light, _ = light_of(mc.Quad(**QUAD, material=BLACK, emission=1.0))
+    light, scene = light_of(mc.Quad(**QUAD, material=BLACK, emission=1.0))
+    receiver = scene.local(POINT)
     corner, u, v = (np.array(QUAD[name]) for name in ("corner", "edge_u", "edge_v"))
     inverse = np.linalg.pinv(np.stack([u, v], 1))
     domain = Domain(
@@ -56,7 +57,7 @@ def quad_by_area():
     )
 
     def sample(u):
-        drawn = shapes.sample_quad_light(light, POINT, False, u[0], u[1])
+        drawn = shapes.sample_quad_light(light, receiver, False, u[0], u[1])
         return POINT + drawn.wi * drawn.distance
 
     def pdf(x):
@@ -64,7 +65,7 @@ def quad_by_area():
         to_light = x - POINT
         distance = jnp.sqrt(dot(to_light, to_light))
         wi = to_light / distance
-        inverse_pdf = shapes.inverse_pdf_quad_light(light, POINT, wi, distance)
+        inverse_pdf = shapes.inverse_pdf_quad_light(light, receiver, wi, distance)
         return -dot(light.normal, wi) / distance**2 / inverse_pdf
 
     return sample, pdf, domain
@@ -73,6 +74,7 @@ def quad_by_area():
 def light_by_solid_angle(primitive, domain=SPHERE, point=POINT):
     """Return directions toward a light, and the density that a hit of it is given; 0 where the light is missed."""
     light, scene = light_of(primitive)
+    point = scene.local(point)
     is_quad = isinstance(primitive, mc.Quad)
     draw = shapes.sample_quad_light if is_quad else shapes.sample_sphere_light
     density = shapes.inverse_pdf_quad_light if is_quad else shapes.inverse_pdf_sphere_light
