@@ -49,7 +49,7 @@ def density_per_area(right):
     # Of the disk that the sphere shows, at its own distance.
     def wrong(light, point, own, u1, u2):
         drawn = right(light, point, own, u1, u2)
-        return drawn._replace(inverse_pdf=jnp.pi * light.radius**2 + 0.0 * drawn.distance)
+        return drawn._replace(inverse_pdf=jnp.pi * light.sphere.radius**2 + 0.0 * drawn.distance)
 
     return wrong
 
