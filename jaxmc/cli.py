@@ -5,7 +5,7 @@ import sys
 from importlib import metadata
 
 from . import __version__, bench, scenes
-from .studies import calibration, mirror_box, sparkles
+from .studies import calibration, mirror_box, sparkles, stability
 from .transport.debug import replay
 
 GROUP = "jaxmc.commands"  # entry points: functions that add a command of another package to argparse's commands
@@ -41,7 +41,18 @@ def _parser():
     calibrate = study.add_parser("calibration", help="do intervals cover known integrals as often as they say?")
     calibrate.add_argument("--replicates", type=int, default=300, help="estimates of each integral (default 300)")
     calibrate.set_defaults(run=_study_calibration)
-    for command, name in ((mirror, "mirror-box"), (sparkle, "sparkles"), (calibrate, "calibration")):
+    stable = study.add_parser("stability", help="what rounding does: scenes, rays and numbers at their limits")
+    stable.add_argument(
+        "--events", type=int, default=10**7, help="scattering events in each closed room (default 10^7; 10^9 is a test)"
+    )
+    stable.add_argument(
+        "--scenes",
+        default="analytic_scenes:ALL",
+        help="scenes whose bias is measured, as module:name (default %(default)s)",
+    )
+    stable.set_defaults(run=_study_stability)
+    studies = {"mirror-box": mirror, "sparkles": sparkle, "calibration": calibrate, "stability": stable}
+    for name, command in studies.items():
         command.add_argument("--out", default=f"out/{name}", help=f"folder of the report (default out/{name})")
         command.add_argument("--seed", type=int, default=0, help="seed (default 0)")
         command.add_argument("--quiet", action="store_true", help="no progress bar")
@@ -89,6 +100,14 @@ def _study_sparkles(options):
 def _study_calibration(options):
     settings = calibration.Settings(replicates=options.replicates, seed=_seed(options), progress=not options.quiet)
     print(f"report: {calibration.run(options.out, settings)}")
+    return 0
+
+
+def _study_stability(options):
+    settings = stability.Settings(
+        events=options.events, scenes=options.scenes, seed=_seed(options), progress=not options.quiet
+    )
+    print(f"report: {stability.run(options.out, settings)}")
     return 0
 
 

@@ -185,6 +185,31 @@ def histograms(ax, samples, edges, truth, xlabel):
     ax.legend(fontsize=8, loc="upper right")
 
 
+def rounding_errors(ax, curves, xlabel, promise=None):
+    """Draw relative errors against what is varied; ``curves``: label -> (x, errors), ``promise``: (x, limit)."""
+    for label, (x, errors) in curves.items():
+        # An error of 0 is drawn at the bottom.
+        ax.plot(x, np.maximum(np.abs(errors), 1e-9), ".-", lw=1, label=label)
+    if promise is not None:
+        ax.plot(*promise, color="k", lw=1, ls="--", label="promised")
+    ax.axhline(2.0**-24, color="0.5", lw=0.8, ls=":")
+    ax.set(xscale="log", yscale="log", xlabel=xlabel, ylabel="relative error, float32")
+    ax.set_ylim(bottom=5e-10)
+    ax.legend(fontsize=8)
+    ax.grid(alpha=0.3)
+
+
+def rates(ax, x, curves, least, xlabel, ylabel):
+    """Draw how often something happens, by label; rates of 0 lie on the line at ``least``."""
+    for (label, rate), marker in zip(curves.items(), "osD^vx+*"):
+        ax.plot(x, np.maximum(rate, least), marker=marker, ms=4, lw=1, label=label)
+    ax.axhline(least, color="0.5", lw=0.8, ls=":")
+    ax.set(xscale="log", yscale="log", xlabel=xlabel, ylabel=ylabel)
+    ax.annotate("none", (x[0], least), (0, 3), textcoords="offset points", fontsize=8, color="0.4")
+    ax.legend(fontsize=8)
+    ax.grid(alpha=0.3)
+
+
 OWN_COLORS = {
     "Independent": "#08519c", "Sobol": "#d95f02", "Lattice": "#1b9e77", "Halton": "#7570b3",
     "LatinHypercube": "#e7298a", "Stratified": "#a6761d",

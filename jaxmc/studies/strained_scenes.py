@@ -34,13 +34,14 @@ def under_sphere(emission, center, radius, normal=Z) -> float:
 
 def under_quad(emission, corner, u, v, normal=Z) -> float:
     """Return the irradiance at the origin from a parallelogram above the horizon (Lambert, Photometria, 1760)."""
-    corner, u, v, normal = (np.asarray(x, np.longdouble) for x in (corner, u, v, normal))
-    outline = [corner, corner + u, corner + u + v, corner + v]
+    a, u, v, normal = (np.asarray(x, np.longdouble) for x in (corner, u, v, normal))
     total = np.longdouble(0.0)
-    for a, b in zip(outline, outline[1:] + outline[:1]):
-        across = np.cross(a, b)
+    for edge in (u, v, -u, -v):
+        # Cross a corner with the edge, not with the next corner: a small light would lose its digits.
+        across = np.cross(a, edge)
         length = np.sqrt(across @ across)
-        total += np.arctan2(length, a @ b) * (across @ normal) / length
+        total += np.arctan2(length, a @ (a + edge)) * (across @ normal) / length
+        a = a + edge
     return float(emission / 2 * abs(total))
 
 

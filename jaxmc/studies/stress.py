@@ -50,7 +50,7 @@ class Measured(NamedTuple):
     def keeps(self, promise) -> bool:
         """Return whether rounding and the float64 mean lie within 5 standard errors of what is promised of them."""
         sound = abs(self.wide) <= 1e-9 + SIGMAS * self.wide_error
-        return sound and self.nonfinite == 0 and abs(self.rounding) <= promise + SIGMAS * self.error
+        return bool(sound and self.nonfinite == 0 and abs(self.rounding) <= promise + SIGMAS * self.error)
 
 
 def common_points(n, dim, seed=0) -> np.ndarray:

@@ -71,7 +71,8 @@ def bare(scene) -> Scene:
 
 @dataclasses.dataclass(frozen=True)
 class Walk:
-    """A walk of so many events: its counts, in the order of ``CHANNELS``, and the radiance that it has met.
+    """A walk of so many events: its counts, in the order of ``CHANNELS``, and the radiance that it has met. It ends
+    where it leaves the room or gets into a ball.
 
     ``next_hit(scene, ray, own)`` returns where a ray that starts on primitive ``own`` ends.
     """
@@ -104,7 +105,7 @@ class Walk:
             new = [jnp.where(alive & x, 1.0, 0.0) for x in happened]
             met = beta * (emission_toward(scene, onward, after, None) + _sky(scene, onward, after))
             counts = counts + jnp.stack([*new, jnp.where(alive, met, 0.0)])
-            after = hits.Hit(after.distance, jnp.where(alive, after.primitive, -1))
+            after = hits.Hit(after.distance, jnp.where(alive & ~trapped, after.primitive, -1))
             return (onward, after, beta, counts), None
 
         (*_, counts), _ = lax.scan(event, state, jnp.arange(self.bounces))
@@ -133,7 +134,7 @@ def _side(scene, surface):
     return _curvature(scene, surface.primitive) != 0.0, dot(surface.normal, surface.point - center) < 0.0
 
 
-def count(scene, origin, toward, *, next_hit=ours, events, bounces, directions="cosine", key=0, progress=None) -> dict:
+def count(scene, origin, toward, directions="cosine", *, events, bounces, next_hit=ours, key=0, progress=None) -> dict:
     """Walk for about ``events`` events from a point of a closed room and return how often each thing happened."""
     direction = normalize(as_vec3("toward", toward))
     start = scene.local(as_vec3("origin", origin)), Vec3(*map(np.asarray, direction))

@@ -54,6 +54,8 @@ def lookup(values) -> Lookup:
     values = list(values) or [0.0]  # an empty scene has tables too
     if not is_concrete(values):
         return Lookup(tuple(values), tuple(range(len(values))))
+    # Compare as the kernel will: rounding must not decide what a kernel contains.
+    values = np.asarray(values, jnp.result_type(float)).tolist()
     distinct = list(dict.fromkeys(values))
     return Lookup(tuple(distinct), tuple(distinct.index(v) for v in values))
 
