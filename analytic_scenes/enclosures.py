@@ -24,6 +24,7 @@ PLATE = 1e5  # half the side of a plate; one event in about 1e10 leaves the gap 
 RADIOSITY_SOURCE = "radiosity of two surfaces; view factors: Howell, A catalog of configuration factors, section C"
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations, of relative variance below 1."""
     return (

@@ -25,6 +25,7 @@ BLACK = mc.Diffuse(0.0)
 SOURCE = "Howell, A catalog of radiation heat transfer configuration factors, "
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations, of relative variance below 1; that of the two spheres is 4."""
     return (

@@ -19,6 +19,7 @@ SOURCE = "Neumann series of the rendering equation (Kajiya, The rendering equati
 NEGLIGIBLE = 1e-9  # what `bounces=None` leaves out, relative to the whole: below the rounding of float32
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations: a cube and a sphere, each with and without variance."""
     return cube_furnace(), cube_furnace(directions="uniform"), sphere_furnace(), sphere_furnace(directions="uniform")

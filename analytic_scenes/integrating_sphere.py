@@ -19,6 +19,7 @@ SOURCE = "integrating-sphere theory: Jacquez and Kuppenheim (1955); Fredholm equ
 NODES = np.polynomial.legendre.leggauss(128)
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations, of relative variance below 1."""
     return (

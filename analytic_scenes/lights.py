@@ -9,6 +9,7 @@ variance and kurtosis are exact. So are those of uniform directions and of light
 not cut the light.
 """
 
+import functools
 import math
 
 import numpy as np
@@ -35,6 +36,7 @@ from analytic_scenes.scene import AnalyticScene
 from analytic_scenes.sensors import scalar_irradiance
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations, of relative variance below 6."""
     wall = {"corner": (-4.0, -12.0, -2.0), "edge_u": (0.0, 24.0, 0.0), "edge_v": (20.0, 0.0, 11.0)}

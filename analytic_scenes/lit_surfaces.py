@@ -4,6 +4,7 @@ Floors are z = 0. ``emission`` and ``sky`` are radiances [W/m^2/sr], ``power`` i
 are those of the closed forms below, with the same names, so ``derivatives`` is keyed by them. Lights are black.
 """
 
+import functools
 import math
 
 import jax.numpy as jnp
@@ -28,6 +29,7 @@ from analytic_scenes.sensors import mean_irradiance, mean_radiance, on_parallelo
 SUN = 1e-3  # angular radius of the distant light; its size and its distance change the answer by 1e-6 of it
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations, of relative variance below 4."""
     low = {"radius": 0.9, "height": 1.0, "offset": 0.8}

@@ -8,6 +8,7 @@ is an integral over the azimuth, by the trapezoidal rule, that converges faster 
 Where something is the root of an equation, bisection finds it and one Newton step carries its derivatives.
 """
 
+import functools
 import math
 
 import jax
@@ -28,6 +29,7 @@ from jaxmc.transport.warps import sincos_2pi
 AZIMUTHS = 256
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations, of relative variance below 4."""
     return sphere_light_in_mirror_ball(), mirror_ball_caustic()

@@ -20,6 +20,7 @@ from analytic_scenes.mirrors import IMAGES, check_apart, mirror_scene
 from analytic_scenes.scene import AnalyticScene, value_of
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations, of relative variance below 8."""
     return sphere_light_between_mirrors(), sphere_light_in_corner()

@@ -8,6 +8,7 @@ those of the closed forms, with the same names.
 Every function raises ``ValueError`` where the light reaches behind a mirror or may hide one of the images.
 """
 
+import functools
 import math
 
 import jax.numpy as jnp
@@ -35,6 +36,7 @@ from analytic_scenes.scene import AnalyticScene, value_of
 IMAGES = "method of images; "
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations, of relative variance below 5."""
     return (

@@ -8,6 +8,7 @@ Where a ray may be at most ``max_distance`` long to be blocked, the sky is a glo
 receiver: what is beyond it hides nothing.
 """
 
+import functools
 import math
 
 import numpy as np
@@ -33,6 +34,7 @@ WHITE = sky_shares.WHITE
 SOURCE = "complement of the irradiance from the blocker; "
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations, of relative variance below 1."""
     return (

@@ -26,6 +26,7 @@ SOURCE = (
 GEOMETRY = "The inside of a diffuse sphere of one albedo that emits everywhere."
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations, of relative variance below 1."""
     return (

@@ -9,6 +9,8 @@ With lights="none" and directions="cosine" variance and kurtosis are exact; with
 Every function raises ``ValueError`` where the blocker is not between the receiver and the light.
 """
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -36,6 +38,7 @@ from analytic_scenes.sensors import scalar_irradiance
 SOURCE = "boundary integral of the visible part; Arvo, Applications of irradiance tensors (1995)"
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations, of relative variance below 6."""
     small = {"center": (0.3, 0.2, 3.0), "radius": 0.6, "blocker_center": (0.35, -0.05, 1.5), "blocker_radius": 0.25}

@@ -5,6 +5,7 @@ L = constant + linear z + quadratic P2(z), over and under the horizon. Arguments
 the same names. Samples vary little: the variances are exact.
 """
 
+import functools
 import math
 
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ SLOPE_SOURCE = "Moon and Spencer, Illumination from a non-uniform sky (1942); St
 ZONAL_SOURCE = "Ramamoorthi and Hanrahan, An efficient representation for irradiance environment maps (2001)"
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations, of relative variance below 1."""
     return (

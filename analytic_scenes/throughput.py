@@ -28,6 +28,7 @@ from jaxmc.transport.paths import trace
 SOURCE = "moments of a product of independent uniform variables"
 
 
+@functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
     """Return the default configurations, of relative variance below 1."""
     return (
