@@ -22,8 +22,8 @@ from jaxmc.transport.vec import Vec3
 SLOW = pytest.mark.slow
 CASES = strained_scenes.all_cases()
 BY_NAME = {(c.group, c.name): c for c in CASES}
-QUICK = {"apart", "small light", "emission", "touching", "lit sphere, radius 1e+06",
-         "lamp in a ceiling, tilted", "lamp on a black sphere", "mirror, albedo 1"}  # fmt: skip
+QUICK = {"apart", "small light", "emission", "touching", "lit sphere: radius 1e+06",
+         "lamp in a ceiling: tilted", "lamp on a black sphere", "mirror: albedo 1"}  # fmt: skip
 
 
 def is_quick(case):
@@ -69,10 +69,10 @@ def no_step_to_unit_length(right):
 
 
 MUTANTS = [  # what is taken away, where, and the case that shows it
-    (no_middle, facts, "layout", ("moved", "quad lamp + 1.3e+06")),
-    pytest.param(nothing_large, facts, "layout", ("sphere", "lit sphere, radius 1e+06"), marks=SLOW),
-    (no_twins, facts, "touch", ("coincident", "lamp in a ceiling, tilted")),
-    pytest.param(no_step_to_unit_length, paths, "reflect", ("1000 events", "mirror, albedo 1"), marks=SLOW),
+    (no_middle, facts, "layout", ("moved", "quad lamp: + 1.3e+06")),
+    pytest.param(nothing_large, facts, "layout", ("sphere", "lit sphere: radius 1e+06"), marks=SLOW),
+    (no_twins, facts, "touch", ("coincident", "lamp in a ceiling: tilted")),
+    pytest.param(no_step_to_unit_length, paths, "reflect", ("1000 events", "mirror: albedo 1"), marks=SLOW),
 ]
 
 
@@ -90,7 +90,7 @@ def test_without_what_keeps_it_a_promise_is_broken(mutate, module, name, case, m
 
 
 def test_a_check_of_a_promise_can_fail():
-    case, kept = BY_NAME["scaled", "quad lamp x 1.3"], stress.Measured(0.0, 0.0, 0.0, 1e-3, 0, 100)
+    case, kept = BY_NAME["scaled", "quad lamp: x 1.3"], stress.Measured(0.0, 0.0, 0.0, 1e-3, 0, 100)
     assert kept.keeps(1e-5)
     for fault in ({"rounding": 2e-5}, {"rounding": -2e-5}, {"wide": 6e-3}, {"nonfinite": 1}, {"rounding": np.nan}):
         assert not kept._replace(**fault).keeps(1e-5), fault

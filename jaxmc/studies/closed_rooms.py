@@ -13,7 +13,7 @@ EPSILON = 1e-4  # the constant offset: a common default
 WAYS = {"ours": walks.ours, f"offset {EPSILON:g}": walks.Offset(EPSILON), "own left out": walks.exclusion}
 PICTURES = {  # title: way to find hits, and size of the scene
     "ours, at any size": (walks.ours, 1.0),
-    f"offset {EPSILON:g}, scene of size 1e-3: leaks": (walks.Offset(EPSILON), 1e-3),
+    f"offset {EPSILON:g}, scene of size 4e-4: leaks": (walks.Offset(EPSILON), 4e-4),
     f"offset {EPSILON:g}, scene of size 1e4: acne": (walks.Offset(EPSILON), 1e4),
     "own primitive left out: the dome leaks": (walks.exclusion, 1.0),
 }
@@ -67,8 +67,18 @@ def rates(way, size, events, key=0) -> dict:
     turn = size * TURN
     balls = [Sphere(turn @ (0.35, 0.3, 0.25), 0.25 * size, WHITE), Sphere(turn @ (0.75, 0.7, 0.1), 0.1 * size, WHITE)]
     scene = Scene([*(Quad(turn @ c, turn @ u, turn @ v, WHITE) for c, u, v in cube()), *balls])
-    start, scene = turn @ (0.5, 0.5, 0.6), scene if way is walks.ours else walks.bare(scene)
-    return walks.count(scene, start, TOWARD, next_hit=way, events=events, bounces=100, key=key)
+    return _count(way, scene, turn @ (0.5, 0.5, 0.6), events, key)
+
+
+def dome(way, events, key=0) -> dict:
+    """Return the counts of walks inside a sphere."""
+    scene, start, *_ = rooms()["sphere, uniform"]
+    return _count(way, scene, start, events, key)
+
+
+def _count(way, scene, start, events, key):
+    scene = scene if way is walks.ours else walks.bare(scene)
+    return walks.count(scene, start, TOWARD, "uniform", next_hit=way, events=events, bounces=100, key=key)
 
 
 def picture(way, size, spp, key=0) -> np.ndarray:
@@ -81,7 +91,7 @@ def picture(way, size, spp, key=0) -> np.ndarray:
             Sphere(turn @ (-0.35, 0.1, -0.1), 0.5 * size, Diffuse(0.9)),
             Quad(turn @ (-0.6, -0.6, 1.3), turn @ (0.0, 1.2, 0.0), turn @ (1.2, 0.0, 0.0), BLACK, 4.0),
         ],
-        sky=20.0,
+        sky=1.0,
     )
     camera = PinholeCamera(turn @ (0.2, -1.7, 0.15), turn @ (-0.05, 0.0, -0.15), TURN[:, 2], 60, 120, 90)
     scene = scene if way is walks.ours else walks.bare(scene)

@@ -101,11 +101,13 @@ def scale_and_place() -> list[Case]:
     cases = []
     for name, make, exact in kinds:
         for x in (1.3e-6, 1.3e-3, 1.3, 1.3e3, 1.3e6):
-            cases.append(Case("scaled", f"{name} x {x:g}", x, partial(make, x), exact, PROMISE))
+            cases.append(Case("scaled", f"{name}: x {x:g}", x, partial(make, x), exact, PROMISE))
         for x in (1.3, 1.3e1, 1.3e2, 1.3e3, 1.3e4, 1.3e5, 1.3e6):
-            cases.append(Case("moved", f"{name} + {x:g}", x, partial(make, 1.0, x), exact, PROMISE))
+            cases.append(Case("moved", f"{name}: + {x:g}", x, partial(make, 1.0, x), exact, PROMISE))
     for x in (1.3, 1.3e1, 1.3e2, 1.3e3, 1.3e4, 1.3e5):
-        cases.append(Case("apart", f"parts {2 * x:g} apart", x, partial(apart, x), kinds[1][2], PROMISE + EPS * x))
+        cases.append(
+            Case("apart", f"quad lamp: other part {2 * x:g} away", x, partial(apart, x), kinds[1][2], PROMISE + EPS * x)
+        )
     return cases
 
 
@@ -135,9 +137,9 @@ def spheres() -> list[Case]:
     cases = []
     for x in (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6):
         # One ray meets a small sphere: its direction moves the point by EPS, the normal by EPS / radius.
-        cases.append(Case("sphere", f"lit sphere, radius {x:g}", x, partial(ground, x), LIT, max(PROMISE, 4 * EPS / x)))
+        cases.append(Case("sphere", f"lit sphere: radius {x:g}", x, partial(ground, x), LIT, max(PROMISE, 4 * EPS / x)))
     for x in (1e0, 1e2, 1e4, 1e6):
-        cases.append(Case("sphere", f"ball over ground, radius {x:g}", x, partial(over_ground, x), LIT, PROMISE))
+        cases.append(Case("sphere", f"ball over a ground: radius {x:g}", x, partial(over_ground, x), LIT, PROMISE))
     return cases
 
 
@@ -166,15 +168,17 @@ def lights() -> list[Case]:
     for x in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
         ball, quad = under_sphere(10.0, BALL, x), under_quad(5.0, CORNER, x * EDGE_U, x * EDGE_V)
         cases += [
-            Case("small light", f"sphere of size {x:g}", x, partial(sphere_lamp, radius=x), ball, PROMISE),
-            Case("small light", f"quad of size {x:g}", x, partial(quad_lamp, size=x), quad, PROMISE),
+            Case("small light", f"sphere: size {x:g}", x, partial(sphere_lamp, radius=x), ball, PROMISE),
+            Case("small light", f"quad: size {x:g}", x, partial(quad_lamp, size=x), quad, PROMISE),
         ]
     full = under_quad(5.0, *_edge_on(0.5, TILTED))
     for name, plane, limit in (("upright", UPRIGHT, 0.0), ("tilted", TILTED, 2.0)):
         for x in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
             exact, promise = under_quad(5.0, *_edge_on(x, plane)), max(PROMISE, limit * EPS / x)
-            cases.append(Case("edge-on", f"{name}, {x:g} over", x, partial(edge_on, x, plane), exact, promise))
-        cases.append(Case("edge-on", f"{name}, on its plane", 0.0, partial(edge_on, 0.0, plane), 0.0, PROMISE, full))
+            cases.append(
+                Case("edge-on", f"{name}: {x:g} over its plane", x, partial(edge_on, x, plane), exact, promise)
+            )
+        cases.append(Case("edge-on", f"{name}: on its plane", 0.0, partial(edge_on, 0.0, plane), 0.0, PROMISE, full))
     return cases
 
 
@@ -225,14 +229,18 @@ def touching() -> list[Case]:
     cases = []
     for x in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
         exact = under_quad(5.0, *_in_gap(x), -UP) * 0.5 / math.pi
-        cases.append(Case("gap", f"lamp {x:g} below a ceiling", x, partial(gap, x), exact, max(PROMISE, 4 * EPS / x)))
+        cases.append(
+            Case("gap", f"lamp under a ceiling: {x:g} below", x, partial(gap, x), exact, max(PROMISE, 4 * EPS / x))
+        )
     lamp = under_quad(5.0, (-0.3, -0.2, 1.0), (0.0, 0.7, 0.0), (0.6, 0.0, 0.0))
     for name, turn in (("upright", np.eye(3)), ("tilted", TURN)):
-        cases.append(Case("coincident", f"lamp in a ceiling, {name}", 0.0, partial(flush, turn), lamp, PROMISE))
+        cases.append(Case("coincident", f"lamp in a ceiling: {name}", 0.0, partial(flush, turn), lamp, PROMISE))
     cases.append(Case("coincident", "lamp on a black sphere", 0.0, shell, under_sphere(10.0, BALL, 0.5), PROMISE))
     for x in (1.0, 0.1):
         exact = math.pi * (1.0 - (0.25 / (0.25 + x * x)) ** 1.5)
-        cases.append(Case("touching", f"{x:g} from a resting ball", x, partial(resting_ball, x), exact, PROMISE))
+        cases.append(
+            Case("touching", f"beside a resting ball: {x:g} away", x, partial(resting_ball, x), exact, PROMISE)
+        )
     return cases
 
 
@@ -256,12 +264,12 @@ def long_and_bright() -> list[Case]:
     for kind in ("sphere", "box", "mirror"):
         for x in (0.999, 1.0):
             exact = sum(x**k for k in range(1001))
-            cases.append(Case("1000 events", f"{kind}, albedo {x:g}", x, partial(furnace, kind, x), exact, PROMISE))
+            cases.append(Case("1000 events", f"{kind}: albedo {x:g}", x, partial(furnace, kind, x), exact, PROMISE))
     for x in (1e-30, 1e30):
         ball, quad = under_sphere(x, BALL, 0.5), under_quad(x, CORNER, EDGE_U, EDGE_V)
         cases += [
-            Case("emission", f"sphere, emission {x:g}", x, partial(sphere_lamp, emission=x), ball, PROMISE),
-            Case("emission", f"quad, emission {x:g}", x, partial(quad_lamp, emission=x), quad, PROMISE),
+            Case("emission", f"sphere: emission {x:g}", x, partial(sphere_lamp, emission=x), ball, PROMISE),
+            Case("emission", f"quad: emission {x:g}", x, partial(quad_lamp, emission=x), quad, PROMISE),
         ]
     return cases
 

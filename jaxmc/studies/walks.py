@@ -26,7 +26,7 @@ from ..transport.scene import Scene
 from ..transport.sky import sky_radiance
 from ..transport.vec import Vec3, dot, normalize, where
 
-CHANNELS = ("events", "escapes", "self-hits", "inside a ball", "not finite", "radiance")
+COUNTS = ("events", "escapes", "self-hits", "inside a ball", "not finite")
 
 
 def ours(scene, ray, own):
@@ -71,8 +71,8 @@ def bare(scene) -> Scene:
 
 @dataclasses.dataclass(frozen=True)
 class Walk:
-    """A walk of so many events: its counts, in the order of ``CHANNELS``, and the radiance that it has met. It ends
-    where it leaves the room or gets into a ball.
+    """A walk of so many events: its counts, in the order of ``COUNTS``, and the radiance that it has met, of lamps and
+    of the sky. It ends where it leaves the room or gets into a ball.
 
     ``next_hit(scene, ray, own)`` returns where a ray that starts on primitive ``own`` ends.
     """
@@ -84,12 +84,11 @@ class Walk:
     def __call__(self, u, scene, start, pixel=None):
         first, ray = _start(u, start, pixel)
         hit = self.next_hit(scene, ray, -1)
-        one, none = jnp.ones(()), jnp.zeros(())
-        met = emission_toward(scene, ray, hit, None) + _sky(scene, ray, hit)
-        state = (ray, hits.Hit(hit.distance, jnp.asarray(hit.primitive)), one, jnp.stack([none] * 5 + [met]))
+        met = jnp.stack([*[jnp.zeros(())] * len(COUNTS), *_light(scene, ray, hit)])
+        state = (ray, hits.Hit(hit.distance, jnp.asarray(hit.primitive)), jnp.ones(()), met)
 
         def event(state, k):
-            ray, hit, beta, counts = state
+            ray, hit, beta, total = state
             surface = hits.surface_at(scene, ray, hit)
             wi, _, weight = sample_diffuse(self.directions, surface.normal, u[first + 2 * k], u[first + 2 * k + 1])
             for i in scene.mirrors:
@@ -103,13 +102,12 @@ class Walk:
             trapped = sphere & inward & (_curvature(scene, surface.primitive) > 0.0)
             happened = [alive, after.primitive < 0, again, trapped, ~finite]
             new = [jnp.where(alive & x, 1.0, 0.0) for x in happened]
-            met = beta * (emission_toward(scene, onward, after, None) + _sky(scene, onward, after))
-            counts = counts + jnp.stack([*new, jnp.where(alive, met, 0.0)])
+            met = [jnp.where(alive, beta * light, 0.0) for light in _light(scene, onward, after)]
             after = hits.Hit(after.distance, jnp.where(alive & ~trapped, after.primitive, -1))
-            return (onward, after, beta, counts), None
+            return (onward, after, beta, total + jnp.stack([*new, *met])), None
 
-        (*_, counts), _ = lax.scan(event, state, jnp.arange(self.bounces))
-        return counts
+        (*_, total), _ = lax.scan(event, state, jnp.arange(self.bounces))
+        return total
 
 
 def _start(u, start, pixel):
@@ -120,8 +118,14 @@ def _start(u, start, pixel):
     return 2, start.ray(column.astype(float) + u[0], row.astype(float) + u[1])
 
 
-def _sky(scene, ray, hit):
-    return 0.0 if scene.sky is None else jnp.where(hit.primitive < 0, sky_radiance(scene.sky, ray.direction), 0.0)
+def _light(scene, ray, hit):
+    """Return the radiance that a ray meets: of lamps, and of the sky."""
+    sky = (
+        jnp.zeros(())
+        if scene.sky is None
+        else jnp.where(hit.primitive < 0, sky_radiance(scene.sky, ray.direction), 0.0)
+    )
+    return emission_toward(scene, ray, hit, None), sky
 
 
 def _curvature(scene, i):
@@ -141,14 +145,17 @@ def count(scene, origin, toward, directions="cosine", *, events, bounces, next_h
     paths = max(1, events // bounces)
     walk = Integrand(Walk(next_hit, bounces, directions), 2 * bounces, (scene, start), lazy=True)
     estimate = integrate(walk, n=paths, key=key, progress=progress)
-    totals = np.asarray(estimate.mean, np.float64)[:-1] * paths
-    return dict(zip(CHANNELS, np.round(totals).astype(int).tolist())) | {"not finite": estimate.nonfinite}
+    totals = np.nan_to_num(np.asarray(estimate.mean, np.float64)) * paths
+    found = dict(zip(COUNTS, np.round(totals).astype(int).tolist()))
+    return found | {"not finite": found["not finite"] + estimate.nonfinite}
 
 
 def picture(scene, camera, *, next_hit=ours, spp, bounces=4, key=0, progress=None) -> np.ndarray:
-    """Return the radiance of a grey scene, shape (height, width, 3), by walks that wait until they meet a light."""
+    """Return a picture of a closed grey scene, shape (height, width, 3), by walks that wait until they meet a light.
+    What comes from its lamps is grey, what leaks in from the sky is red.
+    """
     local = dataclasses.replace(camera, origin=scene.local(camera.origin))
     walk = Integrand(Walk(next_hit, bounces), 2 + 2 * bounces, (scene, local), lazy=True)
     estimate = integrate_each(walk, camera.width * camera.height, n=spp, key=key, progress=progress)
-    radiance = np.asarray(estimate.mean)[:, -1].reshape(camera.height, camera.width)
-    return np.repeat(radiance[..., None], 3, axis=-1)
+    lamps, sky = np.moveaxis(np.asarray(estimate.mean)[:, len(COUNTS) :].reshape(camera.height, camera.width, 2), -1, 0)
+    return np.stack([lamps + sky, lamps, lamps], -1)
