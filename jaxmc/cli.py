@@ -5,10 +5,9 @@ import sys
 from importlib import metadata
 
 from . import __version__, bench, scenes
+from .known import COMMANDS, collection
 from .studies import calibration, mirror_box, sparkles, stability
 from .transport.debug import replay
-
-GROUP = "jaxmc.commands"  # entry points: functions that add a command of another package to argparse's commands
 
 
 def main(arguments=None) -> int:
@@ -47,8 +46,8 @@ def _parser():
     )
     stable.add_argument(
         "--scenes",
-        default="analytic_scenes:ALL",
-        help="scenes whose bias is measured, as module:name (default %(default)s)",
+        default=collection(),
+        help="scenes whose bias is measured, as module:name (default: those that `jaxmc scenes` lists)",
     )
     stable.set_defaults(run=_study_stability)
     studies = {"mirror-box": mirror, "sparkles": sparkle, "calibration": calibrate, "stability": stable}
@@ -70,7 +69,7 @@ def _parser():
     race.add_argument("--max-seconds", type=float, default=30.0, help="time to measure, besides compiling (default 30)")
     race.add_argument("--out", default="out/bench", help="folder of figure and numbers (default out/bench)")
     race.set_defaults(run=_bench)
-    for point in metadata.entry_points(group=GROUP):
+    for point in metadata.entry_points(group=COMMANDS):
         try:
             point.load()(commands)
         except (ImportError, AttributeError) as error:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from importlib import metadata
 
 GROUP = "jaxmc.integrands"
+COMMANDS = "jaxmc.commands"  # functions that add a command of another package to those of argparse
 
 
 def offered() -> dict[str, str]:
@@ -26,3 +27,9 @@ def maker(name: str) -> Callable:
         known = f"one of {', '.join(sorted(points))}" if points else "install jaxmc again to use its names"
         cure = "install the package again" if name in points else f"name a module:function, or {known}"
         raise ValueError(f"no integrand {name!r} ({error}): {cure}") from error
+
+
+def collection() -> str | None:
+    """Return where the scenes of ``jaxmc scenes`` are, ``module:name``; None where no package has that command."""
+    points = [point for point in metadata.entry_points(group=COMMANDS) if point.name == "scenes"]
+    return f"{points[0].module.partition('.')[0]}:ALL" if points else None

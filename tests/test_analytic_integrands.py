@@ -221,6 +221,7 @@ def test_estimate_of_a_default_integrand(defaults, number):
     assert abs(estimate.variance - scene.exact_variance) <= SIGMAS * variance_stderr
 
 
+@pytest.mark.slow
 def test_estimates_of_heavy_integrands(heavy):
     scenes = [scene for scene in heavy if scene.exact_variance is not None]
     assert len(scenes) == 3

@@ -80,11 +80,13 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.slow
 def test_other_scene(name):
     check(OTHERS[name](), rtol=5e-4)
 
 
 @pytest.mark.parametrize("lights", ["none", "mis"])
+@pytest.mark.slow
 def test_light_and_its_mirror_image_together(lights):
     light = {"corner": (0.5, -1.0, 0.9), "edge_u": (0.0, 2.0, 0.0), "edge_v": (0.6, 0.0, -0.8)}
     scene = scenes.rectangle_light_in_mirror(

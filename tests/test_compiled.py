@@ -58,6 +58,7 @@ def test_mean_and_error_bar_hold(scene, sampler):
     assert abs(spread - 1.0) < SIGMAS / np.sqrt(2000) and np.abs(z).max() < 8.0
 
 
+@pytest.mark.slow
 def test_it_is_a_pure_function():
     estimate = mc.estimator(WAVE, n=256, sampler=mc.Lattice(), replicates=4)
     keys = jax.random.split(jax.random.key(1), 3)

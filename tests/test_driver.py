@@ -127,6 +127,7 @@ def tree_of_item(u, scale, item):
     return jax.tree.map(lambda x: scale * x + item, tree(u))
 
 
+@pytest.mark.slow
 def test_families_do_not_depend_on_chunks_or_workers():
     f = mc.Integrand(tree_of_item, 2, (2.0,))
     run = partial(mc.integrate_each, f, 2100, n=70, tallies=FEW)

@@ -136,6 +136,7 @@ class _Rounded(nets._SobolPoint):
         return self.bits(jnp.asarray(dimension).astype(jnp.uint32)).astype(jnp.float32) * 2.0**-32
 
 
+@pytest.mark.slow
 def test_no_sobol_point_leaves_its_interval_by_rounding():
     with jax.enable_x64(False):
         u = points(mc.Sobol(), np.arange(1 << 22), (0,), (3,))[0]
@@ -546,6 +547,7 @@ def test_errors_of_even_points_fall_fast(name):
     assert exponent + 3.0 * error < -1.1 and error < 0.03
 
 
+@pytest.mark.slow
 def test_errors_of_independent_points_fall_like_the_root():
     exponent, error = slope(mc.Independent())
     assert abs(exponent + 0.5) < 0.1 and error < 0.03
@@ -660,6 +662,7 @@ def test_a_shift_of_digits_keeps_the_net_but_is_not_nested():
     assert uneven_shapes(Shifted(), 6) == 0 and nested(Shifted()) < FAIL
 
 
+@pytest.mark.slow
 def test_equal_replicates_claim_no_error():
     estimate = mc.integrate(smooth, dim=8, n=4096, sampler=OneRandomisation(), replicates=4)
     assert len(np.unique(estimate.replicate_means[1], axis=0)) == 1

@@ -59,8 +59,8 @@ BARE = dataclasses.replace(
 def jaxmc(monkeypatch, capsys):
     """Return a function that runs the command line with the entry points of pyproject.toml and two small scenes."""
     groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
-    points = [metadata.EntryPoint(name, value, cli.GROUP) for name, value in groups[cli.GROUP].items()]
-    monkeypatch.setattr(cli.metadata, "entry_points", lambda group: points if group == cli.GROUP else [])
+    points = [metadata.EntryPoint(name, value, cli.COMMANDS) for name, value in groups[cli.COMMANDS].items()]
+    monkeypatch.setattr(cli.metadata, "entry_points", lambda group: points if group == cli.COMMANDS else [])
     monkeypatch.setattr(analytic_scenes, "_all", lambda: (RAMP, BARE))
 
     def run(*arguments):
@@ -129,13 +129,13 @@ def test_formulas_of_the_package_are_shown_with_what_they_call():
 
 def test_the_entry_points_lead_to_functions_and_jaxmc_itself_knows_none():
     groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
-    points = [metadata.EntryPoint(name, value, cli.GROUP) for name, value in groups[cli.GROUP].items()]
+    points = [metadata.EntryPoint(name, value, cli.COMMANDS) for name, value in groups[cli.COMMANDS].items()]
     assert [point.name for point in points] == ["scenes"] and points[0].load() is command.add_command
     assert "analytic_scenes" not in (ROOT / "jaxmc" / "cli.py").read_text()
 
 
 def test_a_broken_command_of_another_package_does_not_stop_the_others(monkeypatch, capsys):
-    points = [metadata.EntryPoint("broken", "no_such_module:add", cli.GROUP)]
+    points = [metadata.EntryPoint("broken", "no_such_module:add", cli.COMMANDS)]
     monkeypatch.setattr(cli.metadata, "entry_points", lambda group: points)
     with pytest.raises(SystemExit) as stop:
         cli.main(["--version"])

@@ -141,6 +141,7 @@ VIEW = np.array([0.36, 0.48, -0.8])
 
 
 @pytest.mark.parametrize("name", CUBES)
+@pytest.mark.slow
 def test_no_ray_leaves_a_closed_cube(name):
     turn, shift = CUBES[name]
     scene = mc.Scene(cube(turn, shift, albedo=1.0), sky=1.0)
@@ -155,6 +156,7 @@ def test_no_ray_leaves_a_closed_cube(name):
 
 
 @pytest.mark.parametrize(("center", "radius"), [((0, 0, 0), 1.0), ((0, 0, 0), 1e-3), (MOVED, 1.0)])
+@pytest.mark.slow
 def test_no_ray_leaves_a_closed_sphere(center, radius):
     scene = mc.Scene([mc.Sphere(center, radius, mc.Diffuse(1.0), inward=True)], sky=1.0)
     start = np.asarray(center) + radius * np.array([0.3, -0.2, 0.1])
@@ -351,6 +353,7 @@ def check_agreement(name, strategies, n, rel_precision):
         ("mirror box", [STRATEGIES[0], STRATEGIES[4]], 3e-2),
     ],
 )
+@pytest.mark.slow
 def test_strategies_agree(name, strategies, rel_precision):
     check_agreement(name, strategies, 1 << 21, rel_precision)
 
@@ -371,6 +374,7 @@ def test_a_convex_body_under_a_white_sky():
 # ---------------------------------------------------------------------------------------------------- images
 
 
+@pytest.mark.slow
 def test_render_agrees_with_the_integral_over_its_film():
     scene, camera = VIEWS["mirror box"]()
     image = mc.render(scene, camera, spp=2048, bounces=BOUNCES, key=9)
@@ -398,6 +402,7 @@ def lamp_and_floor(color=1.0, extra=()):
     return mc.Scene([lamp, floor, *extra]), mc.PinholeCamera((0, 0.5, 3), (0, 0.4, 0), width=8, height=6)
 
 
+@pytest.mark.slow
 def test_grey_and_coloured_code_give_the_same_grey():
     # A coloured ball inside a black one is never met, yet makes the scene a coloured one.
     shell, core = mc.Sphere((0, 0.3, 0), 0.2, BLACK), mc.Sphere((0, 0.3, 0), 0.1, mc.Diffuse((0.1, 0.2, 0.3)))
@@ -408,6 +413,7 @@ def test_grey_and_coloured_code_give_the_same_grey():
     np.testing.assert_allclose(three, np.stack([one] * 3, -1), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_clamp_scales_to_the_threshold():
     scene, camera = lamp_and_floor()
     options = {"bounces": 1, "directions": "uniform", "lights": "none"}
@@ -422,6 +428,7 @@ def test_clamp_scales_to_the_threshold():
     assert np.asarray(mc.luminance(scaled)).max() <= 0.5 * (1 + 4 * EPS)
 
 
+@pytest.mark.slow
 def test_replay_shows_the_samples_of_an_image():
     scene, camera = VIEWS["mirror box"]()
     tallies = {"top": mc.TopSamples(32, of=mc.luminance)}
@@ -584,6 +591,7 @@ SLOW = pytest.mark.slow
         pytest.param("nee", mc.Mirror(0.9), marks=SLOW),
     ],
 )
+@pytest.mark.slow
 def test_derivatives_of_paths_are_finite(lights, ball):
     def make(radius, corner, center, albedo):
         lamps = [
