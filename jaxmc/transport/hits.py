@@ -11,6 +11,7 @@ from .primitives import is_concrete
 from .scene import Scene
 from .shapes import Ray
 from .vec import Vec3, dot, larger, smaller, where
+from .warps import grazing
 
 
 class Hit(NamedTuple):
@@ -121,4 +122,6 @@ def surface_at(scene: Scene, ray: Ray, hit: Hit) -> Surface:
         # normal points inward.
         inverse = _at(scene.inverse_radius, i)
         normal = normal + offset * (inverse * (1.5 - 0.5 * dot(offset, offset) * inverse * inverse))
-    return Surface(point, where(dot(normal, ray.direction) > 0.0, -normal, normal), _at(scene.reflectance, i), i)
+    # At the rim of a sphere rounding must not decide the side: half of ``grazing`` is less than any ray inside has.
+    back = dot(normal, ray.direction) > 0.5 * grazing()
+    return Surface(point, where(back, -normal, normal), _at(scene.reflectance, i), i)
