@@ -481,6 +481,7 @@ QUICK = ["Sobol"]
 
 
 @pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in SAMPLERS])
+@pytest.mark.slow
 def test_results_do_not_depend_on_chunks_or_workers(name):
     def leaves(chunk, workers):
         estimate = mc.integrate(
@@ -542,6 +543,7 @@ def slope(sampler):
 
 
 @pytest.mark.parametrize("name", ["Sobol", "Lattice"])
+@pytest.mark.slow
 def test_errors_of_even_points_fall_fast(name):
     exponent, error = slope(SAMPLERS[name])
     assert exponent + 3.0 * error < -1.1 and error < 0.03
