@@ -175,7 +175,7 @@ def test_no_ray_slips_through_edges_and_corners():
 
 
 def test_walls_that_do_not_overlap_let_rays_through(monkeypatch):
-    monkeypatch.setattr(scenes, "_rounding", lambda frame, grain: 0.0)
+    monkeypatch.setattr(geometry, "_rounding", lambda frame, grain: 0.0)
     assert sum(aimed.slipped for aimed in strained_rays.edges(1 << 18)) > 100
 
 

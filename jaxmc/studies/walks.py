@@ -20,7 +20,7 @@ from ..integration.integrand import Integrand
 from ..transport import hits, rays
 from ..transport.bsdfs import reflect, sample_diffuse
 from ..transport.camera import Camera
-from ..transport.faces import as_vec3
+from ..transport.primitives import as_vec3
 from ..transport.flats import FlatShape
 from ..transport.lights import emission_toward
 from ..transport.scene import Scene

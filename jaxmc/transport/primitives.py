@@ -197,7 +197,7 @@ def as_color(name: str, value, signed: bool = False) -> tuple:
 
 def _check_surface(name, material, emission):
     if not isinstance(material, Material):
-        kinds = "mc.Diffuse, mc.Mirror, mc.RoughConductor or mc.Dielectric"
+        kinds = "mc.Diffuse(albedo), mc.Mirror(reflectance), mc.RoughConductor(...) or mc.Dielectric(ior)"
         raise ValueError(f"{name} material must be {kinds}, got {material!r}")
     for word, value in colors_of(material).items():
         color = as_color(f"{name} {word}", value)

@@ -38,6 +38,8 @@ class Scene:
             a ``GradientSky``.
 
     Attributes:
+        given: the primitives and the sky as they came; not part of the pytree, so a scene that went through a
+            transformation of JAX has none.
         channels: 1 where every colour is grey, else 3.
         owner: for each face the number of its primitive.
         lights: the face of each light; a sphere that shines to both sides is two lights.
@@ -69,6 +71,7 @@ class Scene:
 
     def __init__(self, primitives, sky=None):
         primitives = _checked(primitives)
+        self.given = tuple(primitives), sky
         if not isinstance(sky, GradientSky | None):
             sky = as_color("sky", sky)
         radiances = [as_color("emission", 0.0 if p.emission is None else p.emission) for p in primitives]
