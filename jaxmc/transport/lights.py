@@ -35,11 +35,14 @@ class Group(NamedTuple):
 
 
 def emitters(shining: list[Shining]) -> tuple[tuple[int, ...], Any, Any]:
-    """Return the face of each light, the lights with their radiance, and their powers [W].
+    """Return the face of each light, the lights with their radiance, and their powers in units of the largest.
 
     Lights are a list of pairs, or where there are many a list of ``Group``; those of one kind follow each other.
     """
     entries = [(s.face, light, s.radiance, _power(light, s.rgb)) for s in shining for light in _lights_of(s)]
+    powers = [power for *_, power in entries]
+    largest = max(powers, default=1.0) if is_concrete(powers) else jnp.max(jnp.stack(powers))
+    entries = [(*entry, power / largest) for *entry, power in entries]
     if len(entries) <= MANY:
         return tuple(e[0] for e in entries), tuple(e[1:3] for e in entries), tuple(e[3] for e in entries)
     kinds: dict[Any, list] = {}
