@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import numpy as np
@@ -23,7 +23,12 @@ from .vec import Vec3, cross, dot, normalize
 class Camera:
     """A camera as the kernel uses it: the direction to film position (x, y) in [-1, 1]^2 is
     ``forward + right * x + down * y``, before normalisation.
+
+    ``given`` are the arguments of ``PinholeCamera``; not part of the pytree, so a camera that went through a
+    transformation of JAX has none.
     """
+
+    given: ClassVar[dict[str, Any] | None] = None
 
     origin: Vec3
     right: Vec3
@@ -52,6 +57,7 @@ def PinholeCamera(origin, target, up=(0.0, 1.0, 0.0), fov=40.0, width=256, heigh
     Raises:
         ValueError: a size that is not a positive integer, a field of view out of range, or a view along ``up``.
     """
+    given = dict(locals())
     for name, value in (("width", width), ("height", height)):
         positive(f"PinholeCamera {name}", value, most=1 << 15)
     if not (is_number(fov) and 0.0 < fov < 180.0):
@@ -73,4 +79,6 @@ def PinholeCamera(origin, target, up=(0.0, 1.0, 0.0), fov=40.0, width=256, heigh
     vectors: Any = [
         Vec3(*(np.asarray(c, np.float64) if is_concrete(c) else c for c in v)) for v in (origin, right, down, forward)
     ]
-    return Camera(*vectors, int(width), int(height))
+    camera = Camera(*vectors, int(width), int(height))
+    object.__setattr__(camera, "given", given)
+    return camera

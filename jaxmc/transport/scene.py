@@ -155,6 +155,30 @@ class Scene:
         # Subtract in float64 what is known, before the kernel's numbers round it.
         return Vec3(*((np.asarray(c, np.float64) if is_concrete(c) else c) - m for c, m in zip(point, self.middle)))
 
+    def to_dict(self) -> dict:
+        """Return the scene as plain data: lists, numbers and strings, as JSON has them; ``scene_files`` says how.
+
+        Every number is exact, as float64: ``Scene.from_dict`` makes the same scene of it, bit for bit. Only that
+        coordinates came in float32, and so are rounded, is forgotten.
+
+        Raises:
+            ValueError: a scene that went through a transformation of JAX, or values that JAX traces.
+        """
+        from .scene_files import scene_to_dict
+
+        return scene_to_dict(self)
+
+    @classmethod
+    def from_dict(cls, data) -> "Scene":
+        """Return the scene that ``to_dict`` wrote; a camera in the data is checked and left out.
+
+        Raises:
+            ValueError: data that are no scene; the message names the place in them.
+        """
+        from .scene_files import scene_from_dict
+
+        return scene_from_dict(data)[0]
+
     def tree_flatten(self):
         return [getattr(self, k) for k in self._data], tuple(getattr(self, k) for k in self._static)
 
