@@ -99,8 +99,8 @@ def places(data, path=()):
 
 
 WRONG = [
-    None, True, -1, 0, 0.0, 1e308, -1e308, 1e-320, 10**400, math.nan, math.inf, "", "Sphere", "1.0", [], {}, [1, 2], [[]],
-    [1, 2, 3], [None] * 3, ["a"] * 3, [[1.0] * 3] * 3, [[1e308] * 3] * 3, [1e200, 1e200, 1e200], [[[[1.0]]]],
+    None, True, -1, 0, 0.0, 1e308, -1e308, 1e-320, 10**400, math.nan, math.inf, "", "Sphere", "1.0", [], {}, [1, 2],
+    [[]], [1, 2, 3], [None] * 3, ["a"] * 3, [[1.0] * 3] * 3, [[1e308] * 3] * 3, [1e200, 1e200, 1e200], [[[[1.0]]]],
     {"type": "Sphere"}, {"type": "Diffuse", "albedo": 2}, {"type": ["Sphere"]}, {"type": "GradientSky"},
 ]  # fmt: skip
 

@@ -32,12 +32,7 @@ MATERIALS = (Diffuse, Mirror, RoughConductor, Dielectric)
 
 def scene_to_dict(scene: Scene, camera: Camera | None = None) -> dict:
     """Return a scene, and a camera if there is one, as plain data; see ``Scene.to_dict``."""
-    if getattr(scene, "given", None) is None:
-        raise ValueError(
-            "this scene went through a transformation of JAX and no longer knows its primitives; "
-            "take the one that mc.Scene([...]) returned"
-        )
-    primitives, sky = scene.given
+    primitives, sky = scene.as_given()
     found = {
         "format": FORMAT,
         "version": VERSION,
