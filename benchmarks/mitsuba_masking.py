@@ -1,8 +1,8 @@
 """Mitsuba's rough conductor with height-correlated masking, as a BSDF for Mitsuba: ``correlatedconductor``.
 
 Mitsuba multiplies the masking of both directions; jaxmc takes heights as correlated (Heitz 2014, equation 99), which
-masks less. Everything but that one formula, G2 = 1 / (1 / G1(wi) + 1 / G1(wo) - 1), is Mitsuba's: density, G1, drawing of
-visible normals, Fresnel's equations.
+masks less. Everything but that one formula, G2 = 1 / (1 / G1(wi) + 1 / G1(wo) - 1), is Mitsuba's: density, G1, drawing
+of visible normals, Fresnel's equations.
 """
 
 
