@@ -98,7 +98,8 @@ def correlated(data):
     if isinstance(data, dict):
         data = {key: correlated(value) for key, value in data.items()}
         if data.get("type") == "roughconductor":
-            data = {**data, "type": "correlatedconductor"}
+            names = ("alpha", "specular_reflectance", "eta", "k")
+            data = {"type": "correlatedconductor"} | {name: data[name] for name in names if name in data}
     return data
 
 
