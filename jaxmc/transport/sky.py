@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from .derivatives import root
 from .materials import luminance
 from .primitives import as_color, as_unit, is_concrete, shape_of
 from .vec import Vec3, dot, frame, larger, smaller, where
@@ -114,7 +115,7 @@ def sample_sky(sky, normal: Vec3, u1, u2):
         tangent, bitangent = frame(normal)
         return tangent * local.x + bitangent * local.y + normal * local.z, 2.0 * np.pi, sky
     z = _sample_z(sky, u1)
-    radius = jnp.sqrt(larger((1.0 - z) * (1.0 + z), 0.0))
+    radius = root(larger((1.0 - z) * (1.0 + z), 0.0))
     up = Vec3(*(jnp.zeros(()) if c is None else jnp.asarray(c) for c in sky.up))
     tangent, bitangent = frame(up)
     wi = tangent * (radius * cosine) + bitangent * (radius * sine) + up * z
