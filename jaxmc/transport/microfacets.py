@@ -77,8 +77,8 @@ def sample_ggx(wo: Vec3, alpha, u1, u2):
     # One Newton step to unit length: without it many reflections add up their rounding errors.
     wi = wi * (1.5 - 0.5 * dot(wi, wi))
 
-    peak = squared / dot(middle, middle) / alpha
-    pdf = peak * peak * (0.5 / np.pi) / (wo.z + _stretched(wo.z, alpha))
+    peak = squared / dot(middle, middle)
+    pdf = peak * peak * (0.5 / np.pi) / (alpha * alpha * (wo.z + _stretched(wo.z, alpha)))
     return wi, pdf, jnp.where(wi.z > grazing(), _weight(wo.z, larger(wi.z, grazing()), alpha), 0.0)
 
 

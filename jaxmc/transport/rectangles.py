@@ -92,14 +92,12 @@ def _half_solid_angle(view):
     low, high = y0 * y0 + z * z, y1 * y1 + z * z
     r00, r01 = jnp.sqrt(x0 * x0 + low), jnp.sqrt(x0 * x0 + high)
     r10, r11 = jnp.sqrt(x1 * x1 + low), jnp.sqrt(x1 * x1 + high)
-    # x + r, without cancellation where x0 < 0.
-    behind = x0 < 0.0
-    p0 = jnp.where(behind, low / (r00 + jnp.abs(x0)), r00 + x0)
-    q0 = jnp.where(behind, high / (r01 + jnp.abs(x0)), r01 + x0)
-    p1, q1 = r10 + x1, r11 + x1
-    near, far, area = p0 * q0 + (y0 * y1 + z * z), p1 * q1 + (y0 * y1 + z * z), z * view.depth
+    p0, q0, p1, q1 = r00 + x0, r01 + x0, r10 + x1, r11 + x1
+    level, area = y0 * y1 + z * z, z * view.depth
+    near, far = p0 * q0 + level, p1 * q1 + level
     # D(x1) - D(x0) is a sum of positive terms with the width as a factor.
-    step = view.width * ((p0 + p1) * q1 / (r00 + r10) + (q0 + q1) * p0 / (r01 + r11))
+    ends_0, ends_1 = r00 + r10, r01 + r11
+    step = view.width * ((p0 + p1) * q1 * ends_1 + (q0 + q1) * p0 * ends_0) / (ends_0 * ends_1)
     return angle(area * step, near * far + area * area), far, area
 
 
@@ -153,8 +151,9 @@ def _sample_height(view, x, u2):
     squared = x * x + view.z * view.z
     r0, r1 = jnp.sqrt(squared + y0 * y0), jnp.sqrt(squared + y1 * y1)
     # 1 - y / r, without cancellation at the far end.
+    beyond = y0 > 0.0
+    start = jnp.where(beyond, squared, r0 - y0) / (r0 * jnp.where(beyond, r0 + y0, 1.0))
     end = squared / (r1 * (r1 + y1))
-    start = jnp.where(y0 > 0.0, squared / (r0 + jnp.abs(y0)), r0 - y0) / r0
     left = end + (1.0 - u2) * (start - end)
     # The light reaches less far on the other side.
     y = (1.0 - left) * jnp.sqrt(squared / (left * larger(2.0 - left, end)))
