@@ -15,8 +15,8 @@ import jax.numpy as jnp
 from jax import lax
 
 import jaxmc as mc
-from jaxmc.transport import shapes
-from jaxmc.transport.materials import sample_diffuse
+from jaxmc.transport import rays, spheres
+from jaxmc.transport.bsdfs import sample_diffuse
 from jaxmc.transport.vec import Vec3, normalize
 
 
@@ -46,7 +46,7 @@ class Walk:
         return (*(("survival",) if self.guaranteed is not None else ()), "direction: polar", "direction: azimuth")
 
     def __call__(self, u, first, start: Vec3, radius, survival, lamp, paint):
-        sphere = shapes.SphereShape(Vec3(0.0, 0.0, 0.0), radius)
+        sphere = spheres.SphereShape(Vec3(0.0, 0.0, 0.0), radius)
         stride = len(self.coordinates())
 
         def event(state, k):
@@ -58,8 +58,8 @@ class Walk:
                 beta = jnp.where(u[coordinate] < chance, beta / chance, 0.0)
                 coordinate = coordinate + 1
             wi, _, weight = sample_diffuse(self.directions, -place, u[coordinate], u[coordinate + 1])
-            ray = shapes.ray(place * radius, wi)
-            place = normalize(ray.origin + wi * shapes.intersect_sphere(sphere, ray, True))
+            ray = rays.ray(place * radius, wi)
+            place = normalize(ray.origin + wi * spheres.intersect(sphere, ray, True))
             beta = beta * weight
             seen = jnp.where(k + 1 >= self.fewest, beta * self.emission(place, *lamp), 0.0)
             return (place, beta, collected + seen), None

@@ -16,7 +16,7 @@ import jaxmc as mc
 from analytic_scenes.chains import hemisphere_moments, path_moments
 from analytic_scenes.furnace import enough_bounces, inward_cube, looking_along
 from analytic_scenes.scene import AnalyticScene, value_and_derivatives, variance_and_kurtosis
-from jaxmc.transport import shapes
+from jaxmc.transport import rays
 from jaxmc.transport.hits import surface_at
 from jaxmc.transport.paths import trace
 
@@ -101,9 +101,9 @@ class _KnownAtTheEnd:
     def __call__(self, u, scene, origin, direction, incident):
         def reflected(_, state):
             last = surface_at(scene, state.ray, state.hit)
-            return jnp.where(state.hit.primitive >= 0, state.beta * last.reflectance * incident, 0.0)
+            return jnp.where(state.hit.face >= 0, state.beta * last.reflectance * incident, 0.0)
 
-        start = shapes.ray(scene.local(origin), direction)
+        start = rays.ray(scene.local(origin), direction)
         collected, ends = trace(scene, self.strategy, u, 0, start, reflected)
         return collected + jnp.asarray(ends)[-1]
 

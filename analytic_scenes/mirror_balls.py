@@ -20,9 +20,9 @@ from analytic_scenes.irradiance import sphere_at_irradiance
 from analytic_scenes.laws import Law, law_of_values
 from analytic_scenes.lone_receiver import black_sphere, closed_form_scene, law_of_hits, plate_view, receiver_scene
 from analytic_scenes.scene import AnalyticScene, value_of
+from jaxmc.transport.bsdfs import reflect
 from jaxmc.transport.hits import closest_hit, surface_at
-from jaxmc.transport.materials import reflect
-from jaxmc.transport.shapes import ray
+from jaxmc.transport.rays import ray
 from jaxmc.transport.vec import Vec3
 from jaxmc.transport.warps import sincos_2pi
 
@@ -170,10 +170,10 @@ def _traced_from_the_light(u, scene, value, radius, top, inner, outer):
     fall = ray(Vec3(distance * cosine, distance * sine, 2.0 * top), Vec3(0.0, 0.0, -1.0))
     surface = surface_at(scene, fall, closest_hit(scene, fall))
     away = ray(surface.point, reflect(fall.direction, surface.normal))
-    hit = closest_hit(scene, away, surface.primitive)
+    hit = closest_hit(scene, away, surface.face)
     lands = surface_at(scene, away, hit).point
     squared = lands.x * lands.x + lands.y * lands.y
-    return jnp.where((hit.primitive == 1) & (squared > inner * inner) & (squared < outer * outer), value, 0.0)
+    return jnp.where((hit.face == 1) & (squared > inner * inner) & (squared < outer * outer), value, 0.0)
 
 
 def _landing_distance(incidence, radius, height):

@@ -22,7 +22,7 @@ from analytic_scenes.enclosures import plates
 from analytic_scenes.scene import AnalyticScene, value_and_derivatives, variance_and_kurtosis
 from jaxmc.integration.counts import is_count
 from jaxmc.testing import ThroughputProduct
-from jaxmc.transport import shapes
+from jaxmc.transport import rays
 from jaxmc.transport.paths import trace
 
 SOURCE = "moments of a product of independent uniform variables"
@@ -187,9 +187,9 @@ class _Walk:
 
     def __call__(self, u, scene, origin, direction, *parameters):
         def throughput(surface, state):
-            return jnp.where((surface.primitive >= 0) | (self.measure is jnp.log), state.beta, 0.0)
+            return jnp.where((surface.face >= 0) | (self.measure is jnp.log), state.beta, 0.0)
 
-        _, seen = trace(scene, self.strategy, u, 0, shapes.ray(scene.local(origin), direction), throughput)
+        _, seen = trace(scene, self.strategy, u, 0, rays.ray(scene.local(origin), direction), throughput)
         return self.measure(jnp.asarray(seen)[-1], *parameters)
 
 

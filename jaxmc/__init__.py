@@ -39,17 +39,24 @@ from .transport.camera import PinholeCamera as PinholeCamera
 from .transport.debug import replay as replay
 from .transport.integrands import intersect as intersect
 from .transport.integrands import irradiance as irradiance
+from .transport.integrands import neumann_terms as neumann_terms
 from .transport.integrands import path_integrand as path_integrand
 from .transport.integrands import path_throughput as path_throughput
 from .transport.integrands import radiance as radiance
 from .transport.integrands import render as render
+from .transport.materials import Dielectric as Dielectric
 from .transport.materials import Diffuse as Diffuse
 from .transport.materials import Mirror as Mirror
+from .transport.materials import RoughConductor as RoughConductor
 from .transport.materials import luminance as luminance
 from .transport.paths import clamp_luminance as clamp_luminance
+from .transport.primitives import Box as Box
 from .transport.primitives import Quad as Quad
 from .transport.primitives import Sphere as Sphere
+from .transport.primitives import Triangle as Triangle
 from .transport.scene import Scene as Scene
 from .transport.sky import GradientSky as GradientSky
+from .transport.strategy import PathOptions as PathOptions
+from .transport.strategy import Roulette as Roulette
 
 __version__ = "0.1.0"

@@ -16,7 +16,7 @@ from analytic_scenes import sky_shares
 from analytic_scenes.scene import value_of
 from jaxmc.backend import QUICK_OPTIONS
 from jaxmc.testing import assert_unbiased
-from jaxmc.transport import integrands, paths, shapes
+from jaxmc.transport import bsdfs, integrands, paths, spheres
 
 CUT = {"radius": 1.2, "distance": 2.0, "theta": math.radians(80)}
 SCENES = {
@@ -39,10 +39,7 @@ SCENES = {
 
 
 def no_cosine(right):
-    def wrong(directions, normal, u1, u2):
-        return *right(directions, normal, u1, u2)[:2], 1.0
-
-    return wrong
+    return lambda *args: right(*args)._replace(weight=1.0)
 
 
 def density_per_area(right):
@@ -55,15 +52,18 @@ def density_per_area(right):
 
 
 def light_from_below_the_horizon(right):
-    def wrong(scene, strategy, surface, *rest):
-        turned = surface._replace(normal=-surface.normal)
-        return right(scene, strategy, surface, *rest) + right(scene, strategy, turned, *rest)
+    def wrong(scene, strategy, vertex, u):
+        turned = vertex.surface._replace(normal=-vertex.surface.normal)
+        return right(scene, strategy, vertex, u) + right(scene, strategy, vertex._replace(surface=turned), u)
 
     return wrong
 
 
 def directions_below_the_horizon(right):
-    return lambda directions, normal, u1, u2: right(directions, -normal, u1, u2)
+    def wrong(scene, directions, surface, *rest):
+        return right(scene, directions, surface._replace(normal=-surface.normal), *rest)
+
+    return wrong
 
 
 def reflectance_forgotten(right):
@@ -94,18 +94,18 @@ def last_reflection_forgotten(right):
 
 
 MUTANTS = [  # what is wrong, the module that holds the function, its name, and the scene that shows it
-    (no_cosine, paths, "sample_diffuse", "orb, uniform"),
-    (density_per_area, shapes, "sample_sphere_light", "mean under a sphere"),
+    (no_cosine, paths, "sample_bsdf", "orb, uniform"),
+    (density_per_area, spheres, "sample", "mean under a sphere"),
     (light_from_below_the_horizon, paths, "_direct_light", "cut by the horizon"),
-    (directions_below_the_horizon, paths, "sample_diffuse", "sky"),
+    (directions_below_the_horizon, paths, "sample_bsdf", "sky"),
     (reflectance_forgotten, paths, "surface_at", "mirror"),
     (no_shadow, paths, "unoccluded", "shadow"),
     (sky_upside_down, paths, "sky_radiance", "sky"),
 ]
 FURTHER_MUTANTS = [
-    (directions_below_the_horizon, paths, "sample_diffuse", "pixel"),
+    (directions_below_the_horizon, paths, "sample_bsdf", "pixel"),
     (reflectance_forgotten, paths, "surface_at", "ball"),
-    (ray_goes_through_the_mirror, paths, "reflect", "mirror"),
+    (ray_goes_through_the_mirror, bsdfs, "reflect", "mirror"),
     (last_reflection_forgotten, integrands, "follow", "corner"),
 ]
 

@@ -43,7 +43,7 @@ CASES = [
     ("negative emission", lambda: quad(emission=-1.0), "not negative"),
     ("nan emission", lambda: quad(emission=(1, NAN, 1)), "finite"),
     ("no material", lambda: quad(material="white"), r"mc.Diffuse\(albedo\)"),
-    ("no primitive", lambda: mc.Scene([quad(), "sphere"]), "mc.Sphere and mc.Quad"),
+    ("no primitive", lambda: mc.Scene([quad(), "sphere"]), "mc.Sphere, mc.Quad, mc.Triangle and mc.Box"),
     ("negative sky", lambda: mc.Scene([], sky=-1.0), "not negative"),
     ("directions", lambda: paths(directions="best"), "cosine, uniform"),
     ("lights", lambda: paths(lights="all"), "mis, nee, none"),

@@ -10,7 +10,7 @@ import pytest
 import analytic_scenes
 import jaxmc as mc
 from jaxmc.testing import assert_unbiased
-from jaxmc.transport import materials, paths, shapes, warps
+from jaxmc.transport import bsdfs, flats, paths, spheres, warps
 from jaxmc.transport.vec import Vec3, normalize
 
 PRECISION = 1e-3  # the smallest mistake below is one of 1 %
@@ -135,15 +135,15 @@ class Reused:
 
 def light_picked_by_the_direction_that_led_here(right):
     # An event has five coordinates: two for the point on the light, one to pick the light, polar, azimuth.
-    def wrong(scene, strategy, surface, u, first, *rest):
-        return right(scene, strategy, surface, Reused(u, first + 2, first - 2), first, *rest)
+    def wrong(scene, strategy, vertex, u):
+        return right(scene, strategy, vertex, Reused(u, vertex.first + 2, vertex.first - 2))
 
     return wrong
 
 
 def every_event_uses_the_first_coordinates(right):
-    def wrong(scene, strategy, u, first, *rest):
-        return right(scene, strategy, u, 0, *rest)
+    def wrong(scene, strategy, u, first, *rest, **event):
+        return right(scene, strategy, u, 0, *rest, **event)
 
     return wrong
 
@@ -159,7 +159,7 @@ def cube_normalised_direction(right):
 
 def light_shines_from_its_back(right):
     def wrong(light, point, own, u1, u2):
-        front, turned = right(light, point, own, u1, u2), light._replace(normal=-light.normal)
+        front, turned = right(light, point, own, u1, u2), dataclasses.replace(light, normal=-light.normal)
         return front._replace(inverse_pdf=front.inverse_pdf + right(turned, point, own, u1, u2).inverse_pdf)
 
     return wrong
@@ -170,18 +170,18 @@ def surfaces_shadow_themselves(right):
 
 
 MUTANTS = [  # what is wrong, where (the modules that hold the name), and the scene that shows it
-    (no_cosine_at_the_light, [shapes], "sample_quad_light", "rectangle, nee"),
-    (density_per_area, [shapes], "sample_quad_light", "rectangle, nee"),
-    (weights_that_sum_to_1_02, [paths, materials], "power_heuristic", "rectangle, mis"),
-    (both_strategies_count_in_full, [paths, materials], "power_heuristic", "rectangle, mis"),
-    (light_point_on_a_diagonal, [shapes], "sample_quad_light", "rectangle, nee"),
-    (uniform_directions_with_the_weight_of_cosine_ones, [materials], "sample_cosine_hemisphere", "rectangle, none"),
+    (no_cosine_at_the_light, [flats], "sample", "rectangle, nee"),
+    (density_per_area, [flats], "sample", "rectangle, nee"),
+    (weights_that_sum_to_1_02, [paths, bsdfs], "power_heuristic", "rectangle, mis"),
+    (both_strategies_count_in_full, [paths, bsdfs], "power_heuristic", "rectangle, mis"),
+    (light_point_on_a_diagonal, [flats], "sample", "rectangle, nee"),
+    (uniform_directions_with_the_weight_of_cosine_ones, [bsdfs], "sample_cosine_hemisphere", "rectangle, none"),
     (one_event_too_few, [paths], "follow", "furnace"),
     (light_picked_by_the_direction_that_led_here, [paths], "_direct_light", "furnace, mis"),
     (every_event_uses_the_first_coordinates, [paths], "scatter", "furnace, uniform"),
-    (cube_normalised_direction, [materials, warps], "sample_uniform_hemisphere", "furnace, uniform"),
-    (light_shines_from_its_back, [shapes], "sample_quad_light", "two-faced"),
-    (surfaces_shadow_themselves, [shapes], "intersect_sphere", "convex ball"),
+    (cube_normalised_direction, [bsdfs, warps], "sample_uniform_hemisphere", "furnace, uniform"),
+    (light_shines_from_its_back, [flats], "sample", "two-faced"),
+    (surfaces_shadow_themselves, [spheres], "intersect", "convex ball"),
 ]
 
 
@@ -189,9 +189,9 @@ MUTANTS = [  # what is wrong, where (the modules that hold the name), and the sc
 def test_the_check_rejects_a_mutant(mutate, modules, name, scene, monkeypatch):
     wrong, calls = mutate(getattr(modules[0], name)), []
 
-    def counted(*args):
+    def counted(*args, **named):
         calls.append(name)
-        return wrong(*args)
+        return wrong(*args, **named)
 
     for module in modules:
         monkeypatch.setattr(module, name, counted)
@@ -205,7 +205,7 @@ def test_a_kernel_that_was_compiled_before_is_not_a_mutant(monkeypatch):
     # Why ``fresh`` is needed: the driver keeps the kernel of an integrand that it knows.
     integrand, _, n = SCENES["rectangle, nee"]()
     right = mc.integrate(integrand, n=n, key=1).mean
-    monkeypatch.setattr(shapes, "sample_quad_light", density_per_area(shapes.sample_quad_light))
+    monkeypatch.setattr(flats, "sample", density_per_area(flats.sample))
     assert mc.integrate(integrand, n=n, key=1).mean == right
 
 

@@ -15,8 +15,7 @@ import pytest
 import jaxmc as mc
 from jaxmc.cli import main
 from jaxmc.studies import closed_rooms, stability, strained_rays, strained_scenes, stress, walks
-from jaxmc.transport import facts, hits, materials, paths, shapes, vec, warps
-from jaxmc.transport import scene as scenes
+from jaxmc.transport import bsdfs, facts, geometry, hits, paths, rays, vec, warps
 from jaxmc.transport.vec import Vec3
 
 SLOW = pytest.mark.slow
@@ -152,9 +151,9 @@ def test_other_ways_to_leave_a_surface_are_found_out():
 
 @pytest.mark.slow
 def test_a_sphere_loses_rays_that_lie_in_its_tangent_plane(monkeypatch):
-    for module in (warps, materials):
+    for module in (warps, bsdfs):
         monkeypatch.setattr(module, "grazing", lambda: 0.0)
-    monkeypatch.setattr(walks, "sample_diffuse", lambda *args: materials.sample_diffuse(*args))
+    monkeypatch.setattr(walks, "sample_diffuse", lambda *args: bsdfs.sample_diffuse(*args))
     jax.clear_caches()
     scene, *rest = ROOMS["sphere, uniform"]
     assert walks.count(scene, *rest, events=300_000_000, bounces=1000)["escapes"] > 0
@@ -176,7 +175,7 @@ def test_no_ray_slips_through_edges_and_corners():
 
 
 def test_walls_that_do_not_overlap_let_rays_through(monkeypatch):
-    monkeypatch.setattr(scenes, "_rounding", lambda frame, grain: 0.0)
+    monkeypatch.setattr(geometry, "_rounding", lambda frame, grain: 0.0)
     assert sum(aimed.slipped for aimed in strained_rays.edges(1 << 18)) > 100
 
 
@@ -216,7 +215,7 @@ def test_no_direction_lies_below_its_surface(warp, normal):
     u1, u2 = (x.ravel() for x in np.meshgrid(ends, ends))
     n = Vec3(*(np.asarray(c, jnp.result_type(float)) for c in normal))
     kind = "cosine" if warp is warps.sample_cosine_hemisphere else "uniform"
-    wi, pdf, weight = jax.jit(lambda a, b: materials.sample_diffuse(kind, n, a, b))(u1, u2)
+    wi, pdf, weight = jax.jit(lambda a, b: bsdfs.sample_diffuse(kind, n, a, b))(u1, u2)
     cosine = np.asarray(vec.dot(wi, n))
     assert (cosine > 0.0).all() and np.isfinite(pdf).all() and np.isfinite(weight).all()
     np.testing.assert_allclose(vec.dot(wi, wi), 1.0, atol=2e-6)
@@ -284,17 +283,17 @@ def test_a_ground_does_not_count_for_where_a_scene_lies():
     ball, ground = mc.Sphere((5, 1, 5), 1.0), mc.Sphere((5, -1e4, 5), 1e4)
     scene = mc.Scene([ball, ground])
     np.testing.assert_allclose(scene.middle, (5, 1, 5))
-    assert scene.spheres[0].power is None and scene.spheres[1].power is not None
-    assert mc.Scene([ball, mc.Sphere((5, -4, 5), 4.0)]).spheres[1].power is None
-    assert mc.Scene([mc.Sphere((0, 0, 0), 1e4)]).spheres[0].power is None
+    assert scene.shapes[0].power is None and scene.shapes[1].power is not None
+    assert mc.Scene([ball, mc.Sphere((5, -4, 5), 4.0)]).shapes[1].power is None
+    assert mc.Scene([mc.Sphere((0, 0, 0), 1e4)]).shapes[0].power is None
 
 
 def test_quads_overlap_where_they_touch_and_only_there():
     lamp = mc.Quad((0.3, 0.9, 0.3), (0.4, 0, 0), (0, 0, 0.4))
-    limits = [q.limit for q in mc.Scene([*cube(), lamp]).quads]
+    limits = [q.limit for q in mc.Scene([*cube(), lamp]).shapes]
     assert all(1.0 < limit < 1.0 + 1e-5 for limit in limits[:6]) and limits[6] == 1.0
     standing = mc.Quad((0.3, 0.0, 0.3), (0.4, 0, 0), (0, 0.5, 0))
-    assert mc.Scene([*cube(), standing]).quads[6].limit > 1.0
+    assert mc.Scene([*cube(), standing]).shapes[6].limit > 1.0
 
 
 @pytest.mark.parametrize("turn", [np.eye(3), strained_scenes.TURN])
@@ -305,8 +304,8 @@ def test_what_lies_on_one_plane_or_sphere_is_one_surface(turn):
     ball, same = mc.Sphere((0, 0, 0), 0.3), mc.Sphere((0, 0, 0), 0.3)
     scene = mc.Scene([ceiling, in_it, below, ball, same, mc.Sphere((0, 0, 0), 0.31)])
     assert scene.twins == ((1,), (0,), (), (4,), (3,), ()) and scene.tight
-    ray = shapes.ray(Vec3(*map(jnp.asarray, turn @ (0.2, 0.0, 1.0))), Vec3(*map(jnp.asarray, turn @ (0.0, 0.6, -0.8))))
-    assert hits.closest_hit(scene, ray, 0).primitive == 2 == hits.closest_hit(scene, ray, 1).primitive
+    ray = rays.ray(Vec3(*map(jnp.asarray, turn @ (0.2, 0.0, 1.0))), Vec3(*map(jnp.asarray, turn @ (0.0, 0.6, -0.8))))
+    assert hits.closest_hit(scene, ray, 0).face == 2 == hits.closest_hit(scene, ray, 1).face
 
 
 def test_a_point_of_a_lamp_does_not_see_it():

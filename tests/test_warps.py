@@ -8,7 +8,7 @@ import pytest
 
 import jaxmc as mc
 from jaxmc.testing import HEMISPHERE, SPHERE, Domain, assert_jacobian, assert_samples_pdf, directions
-from jaxmc.transport import hits, materials, shapes, warps
+from jaxmc.transport import bsdfs, flats, hits, rays, shapes, warps
 from jaxmc.transport.vec import Vec3, dot
 
 BLACK = mc.Diffuse(0.0)
@@ -31,8 +31,8 @@ def uniform_hemisphere():
 def diffuse(kind, normal):
     normal = Vec3(*(np.asarray(normal) / np.linalg.norm(normal)))
     return (
-        lambda u: materials.sample_diffuse(kind, normal, u[0], u[1])[0],
-        lambda w: materials.pdf_diffuse(kind, dot(normal, w)),
+        lambda u: bsdfs.sample_diffuse(kind, normal, u[0], u[1])[0],
+        lambda w: bsdfs.pdf_diffuse(kind, dot(normal, w)),
         directions(normal, math.pi / 2),
     )
 
@@ -57,7 +57,7 @@ def quad_by_area():
     )
 
     def sample(u):
-        drawn = shapes.sample_quad_light(light, receiver, False, u[0], u[1])
+        drawn = flats.sample(light, receiver, False, u[0], u[1])
         return POINT + drawn.wi * drawn.distance
 
     def pdf(x):
@@ -65,7 +65,7 @@ def quad_by_area():
         to_light = x - POINT
         distance = jnp.sqrt(dot(to_light, to_light))
         wi = to_light / distance
-        inverse_pdf = shapes.inverse_pdf_quad_light(light, receiver, wi, distance)
+        inverse_pdf = flats.inverse_pdf(light, receiver, wi, distance)
         return -dot(light.normal, wi) / distance**2 / inverse_pdf
 
     return sample, pdf, domain
@@ -75,17 +75,14 @@ def light_by_solid_angle(primitive, domain=SPHERE, point=POINT):
     """Return directions toward a light, and the density that a hit of it is given; 0 where the light is missed."""
     light, scene = light_of(primitive)
     point = scene.local(point)
-    is_quad = isinstance(primitive, mc.Quad)
-    draw = shapes.sample_quad_light if is_quad else shapes.sample_sphere_light
-    density = shapes.inverse_pdf_quad_light if is_quad else shapes.inverse_pdf_sphere_light
 
     def pdf(w):
-        found = hits.closest_hit(scene, shapes.ray(point, w))
-        inverse = density(light, point, w, found.distance)
+        found = hits.closest_hit(scene, rays.ray(point, w))
+        inverse = shapes.inverse_pdf(light, point, w, found.distance)
         hit = jnp.isfinite(found.distance) & (inverse > 0.0)
         return jnp.where(hit, 1.0 / jnp.where(hit, inverse, 1.0), 0.0)
 
-    return lambda u: draw(light, point, False, u[0], u[1]).wi, pdf, domain
+    return lambda u: shapes.sample_light(light, point, False, u[0], u[1]).wi, pdf, domain
 
 
 def sphere_light(radius, distance):
@@ -113,20 +110,20 @@ PAIRS = {
     "sample_diffuse, cosine, tilted": lambda: diffuse("cosine", (0.3, -0.8, 0.4)),
     "sample_diffuse, uniform, downward": lambda: diffuse("uniform", (0.1, 0.2, -0.9)),
     "sample_diffuse, cosine, -z": lambda: diffuse("cosine", (0.0, 0.0, -1.0)),
-    "sample_quad_light, per area": quad_by_area,
-    "sample_quad_light, per solid angle": lambda: light_by_solid_angle(
+    "sample_light of a quad, per area": quad_by_area,
+    "sample_light of a quad, per solid angle": lambda: light_by_solid_angle(
         mc.Quad(**QUAD, material=BLACK, emission=1.0), directions((0.0, 0.1, 1.0), 0.7)
     ),
-    "sample_sphere_light, large": lambda: sphere_light(1.0, 1.05),
-    "sample_sphere_light, small": lambda: sphere_light(0.01, 3.0),
-    "sample_sphere_light, inside": lambda: light_by_solid_angle(
+    "sample_light of a sphere, large": lambda: sphere_light(1.0, 1.05),
+    "sample_light of a sphere, small": lambda: sphere_light(0.01, 3.0),
+    "sample_light of a sphere, inside": lambda: light_by_solid_angle(
         mc.Sphere((0.3, 0.1, -0.2), 0.5, BLACK, emission=1.0, inward=True)
     ),
     "Camera.ray": film,
 }
 
 
-QUICK = {"sample_cosine_hemisphere", "sample_uniform_hemisphere", "sample_quad_light, per area", "Camera.ray"}
+QUICK = {"sample_cosine_hemisphere", "sample_uniform_hemisphere", "sample_light of a quad, per area", "Camera.ray"}
 
 
 def all_but_slow(names, quick):
@@ -146,7 +143,12 @@ def test_the_density_is_that_of_the_map(name):
 
 
 def test_nothing_that_draws_is_left_out():
-    drawn = {name for room in (warps, shapes, materials) for name in vars(room) if name.startswith("sample_")}
+    drawn = {
+        name
+        for room in (warps, shapes, bsdfs)
+        for name, function in vars(room).items()
+        if name.startswith("sample_") and function.__module__ == room.__name__
+    }
     missing = {name for name in drawn if not any(key.startswith(name) for key in PAIRS)}
     assert not missing, f"add {missing} to PAIRS"
 

@@ -17,11 +17,12 @@ from jax import lax
 
 from ..integration.driver import integrate, integrate_each
 from ..integration.integrand import Integrand
-from ..transport import hits, shapes
+from ..transport import hits, rays
+from ..transport.bsdfs import reflect, sample_diffuse
 from ..transport.camera import Camera
-from ..transport.materials import reflect, sample_diffuse
-from ..transport.paths import emission_toward
 from ..transport.primitives import as_vec3
+from ..transport.flats import FlatShape
+from ..transport.lights import emission_toward
 from ..transport.scene import Scene
 from ..transport.sky import sky_radiance
 from ..transport.vec import Vec3, dot, normalize, where
@@ -47,7 +48,7 @@ class Offset(NamedTuple):
 
 def exclusion(scene, ray, own):
     """Return the closest hit on any primitive but the one that the ray comes from."""
-    found = [hits.closest_hit(_alone(scene, i), ray) for i in range(scene.size)]
+    found = [hits.closest_hit(_alone(scene, i), ray) for i in range(len(scene.shapes))]
     distance = jnp.stack([jnp.where(own == i, jnp.inf, one.distance) for i, one in enumerate(found)])
     nearest = jnp.argmin(distance)
     return hits.Hit(distance[nearest], jnp.where(distance[nearest] < jnp.inf, nearest, -1))
@@ -55,15 +56,16 @@ def exclusion(scene, ray, own):
 
 def _alone(scene, i):
     one = copy.copy(scene)
-    one.shapes, one.quads, one.spheres = scene.shapes[i : i + 1], scene.quads[i : i + 1], scene.spheres[i : i + 1]
-    one.twins = ((),)
+    one.shapes, one.first, one.twins = scene.shapes[i : i + 1], (0,), ((),)
     return one
 
 
 def bare(scene) -> Scene:
     """Return a scene without what the path tracer knows of rounding: quads that overlap, hits that are drawn inward."""
     plain = copy.copy(scene)
-    plain.quads = tuple(q and dataclasses.replace(q, limit=np.ones_like(q.limit)) for q in scene.quads)
+    plain.shapes = tuple(
+        dataclasses.replace(s, limit=np.ones_like(s.limit)) if isinstance(s, FlatShape) else s for s in scene.shapes
+    )
     plain.inset = jax.tree.map(np.zeros_like, scene.inset)
     plain.twins, plain.tight = ((),) * scene.size, False
     return plain
@@ -85,25 +87,25 @@ class Walk:
         first, ray = _start(u, start, pixel)
         hit = self.next_hit(scene, ray, -1)
         met = jnp.stack([*[jnp.zeros(())] * len(COUNTS), *_light(scene, ray, hit)])
-        state = (ray, hits.Hit(hit.distance, jnp.asarray(hit.primitive)), jnp.ones(()), met)
+        state = (ray, hits.Hit(hit.distance, jnp.asarray(hit.face)), jnp.ones(()), met)
 
         def event(state, k):
             ray, hit, beta, total = state
             surface = hits.surface_at(scene, ray, hit)
             wi, _, weight = sample_diffuse(self.directions, surface.normal, u[first + 2 * k], u[first + 2 * k + 1])
             for i in scene.mirrors:
-                wi = where(surface.primitive == i, reflect(ray.direction, surface.normal), wi)
-            onward = shapes.ray(surface.point, wi)
-            after = self.next_hit(scene, onward, surface.primitive)
+                wi = where(surface.face == i, reflect(ray.direction, surface.normal), wi)
+            onward = rays.ray(surface.point, wi)
+            after = self.next_hit(scene, onward, surface.face)
             beta = beta * surface.reflectance * weight
-            alive, sphere, inward = hit.primitive >= 0, *_side(scene, surface)
-            again = (after.primitive == surface.primitive) & ~(sphere & inward)
+            alive, sphere, inward = hit.face >= 0, *_side(scene, surface)
+            again = (after.face == surface.face) & ~(sphere & inward)
             finite = jnp.isfinite(dot(surface.point, surface.point)) & jnp.isfinite(dot(wi, wi))
-            trapped = sphere & inward & (_curvature(scene, surface.primitive) > 0.0)
-            happened = [alive, after.primitive < 0, again, trapped, ~finite]
+            trapped = sphere & inward & (_curvature(scene, surface.face) > 0.0)
+            happened = [alive, after.face < 0, again, trapped, ~finite]
             new = [jnp.where(alive & x, 1.0, 0.0) for x in happened]
             met = [jnp.where(alive, beta * light, 0.0) for light in _light(scene, onward, after)]
-            after = hits.Hit(after.distance, jnp.where(alive & ~trapped, after.primitive, -1))
+            after = hits.Hit(after.distance, jnp.where(alive & ~trapped, after.face, -1))
             return (onward, after, beta, total + jnp.stack([*new, *met])), None
 
         (*_, total), _ = lax.scan(event, state, jnp.arange(self.bounces))
@@ -113,19 +115,15 @@ class Walk:
 def _start(u, start, pixel):
     """Return the number of the first coordinate that is left, and the ray: of a camera's pixel, or the one given."""
     if not isinstance(start, Camera):
-        return 0, shapes.ray(*start)
+        return 0, rays.ray(*start)
     column, row = pixel % start.width, pixel // start.width
     return 2, start.ray(column.astype(float) + u[0], row.astype(float) + u[1])
 
 
 def _light(scene, ray, hit):
     """Return the radiance that a ray meets: of lamps, and of the sky."""
-    sky = (
-        jnp.zeros(())
-        if scene.sky is None
-        else jnp.where(hit.primitive < 0, sky_radiance(scene.sky, ray.direction), 0.0)
-    )
-    return emission_toward(scene, ray, hit, None), sky
+    sky = jnp.zeros(()) if scene.sky is None else jnp.where(hit.face < 0, sky_radiance(scene.sky, ray.direction), 0.0)
+    return emission_toward(scene, ray, hit), sky
 
 
 def _curvature(scene, i):
@@ -134,8 +132,8 @@ def _curvature(scene, i):
 
 def _side(scene, surface):
     """Return whether a surface is a sphere, and whether the path is inside it."""
-    center = Vec3(*(table.at(surface.primitive) for table in scene.anchor))
-    return _curvature(scene, surface.primitive) != 0.0, dot(surface.normal, surface.point - center) < 0.0
+    center = Vec3(*(table.at(surface.face) for table in scene.anchor))
+    return _curvature(scene, surface.face) != 0.0, dot(surface.normal, surface.point - center) < 0.0
 
 
 def count(scene, origin, toward, directions="cosine", *, events, bounces, next_hit=ours, key=0, progress=None) -> dict:

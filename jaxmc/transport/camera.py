@@ -10,7 +10,7 @@ import numpy as np
 
 from ..integration.counts import positive
 from .primitives import as_vec3, is_concrete, is_number
-from .shapes import Ray, ray
+from .rays import Ray, ray
 from .vec import Vec3, cross, dot, normalize
 
 

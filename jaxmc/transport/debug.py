@@ -108,7 +108,7 @@ def replay(
     paths = []
     for k, (index, pixel) in enumerate(zip(several, pixels, strict=True)):
         value, direct, events = jax.tree.map(itemgetter(k), seen)
-        paths.append(_path(scene, camera, index, pixel, value, direct, events or {"primitive": ()}))
+        paths.append(_path(scene, camera, index, pixel, value, direct, events or {"face": ()}))
     return paths[0] if np.ndim(indices) == 0 else paths
 
 
@@ -116,8 +116,8 @@ def replay(
 def _replay(integrand, tables, seed, words, pixels, sampler):
     def observe(surface, after):
         return {
-            "primitive": surface.primitive, "point": jnp.stack(surface.point), "normal": jnp.stack(surface.normal),
-            "throughput": luminance(after.beta), "radiance": luminance(after.radiance), "next": after.hit.primitive,
+            "face": surface.face, "point": jnp.stack(surface.point), "normal": jnp.stack(surface.normal),
+            "throughput": luminance(after.beta), "radiance": luminance(after.radiance), "next": after.hit.face,
         }  # fmt: skip
 
     def one(words, pixel):
@@ -134,21 +134,27 @@ def _replay(integrand, tables, seed, words, pixels, sampler):
 
 def _path(scene, camera, index, pixel, value, direct, events) -> Path:
     vertices, throughput, collected = [], 1.0, float(direct)
-    for k in range(len(events["primitive"])):
-        primitive = int(events["primitive"][k])
-        if primitive < 0:
+    for k in range(len(events["face"])):
+        face = int(events["face"][k])
+        if face < 0:
             break
-        kind = "mirror" if primitive in scene.mirrors else "diffuse"
         total, met = float(events["radiance"][k]), _met(scene, int(events["next"][k]))
         point, normal = events["point"][k] + scene.middle, events["normal"][k]
-        vertices.append(Vertex(kind, primitive, point, normal, throughput, total - collected, met))
+        vertices.append(
+            Vertex(_kind(scene, face), scene.owner[face], point, normal, throughput, total - collected, met)
+        )
         throughput, collected = float(events["throughput"][k]), total
     end = vertices[-1].met if vertices else ("light or sky" if direct > 0.0 else "nothing")
     pixel = (int(pixel) % camera.width, int(pixel) // camera.width)
     return Path(int(index), pixel, value, vertices, "last bounce" if end == "surface" else end, float(direct))
 
 
-def _met(scene, primitive):
-    if primitive < 0:
+def _kind(scene, face):
+    kinds = {"mirror": scene.mirrors, "rough": scene.rough, "glass": scene.dielectrics}
+    return next((kind for kind, faces in kinds.items() if face in faces), "diffuse")
+
+
+def _met(scene, face):
+    if face < 0:
         return "nothing" if scene.sky is None else "sky"
-    return "light" if primitive in scene.lights else "surface"
+    return "light" if face in scene.lights else "surface"

@@ -1,7 +1,7 @@
 """What is known of a scene before any ray: where it lies, what touches what, what can cast a shadow.
 
-All of it is computed once, in float64, from the primitives as the user gave them. While JAX traces the geometry nothing
-is known, and every answer is the safe one.
+All of it is computed once, in float64, from the faces of the primitives as the user gave them: spheres, quads and
+triangles. While JAX traces the geometry nothing is known, and every answer is the safe one.
 """
 
 import dataclasses
@@ -10,9 +10,10 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from .primitives import Quad, Sphere, is_concrete
+from .primitives import Box, Quad, Sphere, Triangle, is_concrete
 
 LARGE = 16.0  # the largest primitive counts as large if it has so many times the size of all the others together
+ROWS = 256  # faces that are compared with all others at a time
 TIGHT = 1e-3  # of the scene: a gap in which rounding would be felt
 
 
@@ -31,9 +32,39 @@ class Layout(NamedTuple):
 
 def is_known(primitives) -> bool:
     """Return whether the geometry is known: not while JAX traces it."""
-    return is_concrete(
-        [(p.corner, p.edge_u, p.edge_v) if isinstance(p, Quad) else (p.center, p.radius) for p in primitives]
+    return is_concrete([[getattr(p, name) for name in _places(p) + _lengths(p)] for p in primitives])
+
+
+def _places(p):
+    """Return the names of the attributes that move with a primitive."""
+    kinds = {Sphere: ("center",), Box: ("center",), Quad: ("corner",), Triangle: ("a", "b", "c")}
+    return kinds[type(p)]
+
+
+def _lengths(p):
+    """Return the names of the attributes that do not."""
+    return {Sphere: ("radius",), Box: ("size", "axes"), Quad: ("edge_u", "edge_v"), Triangle: ()}[type(p)]
+
+
+def faces_of(primitive) -> list:
+    """Return the faces of a primitive: itself, or the six sides of a box as quads, numbered as ``boxes`` does."""
+    if not isinstance(primitive, Box):
+        return [primitive]
+    known = is_concrete((primitive.center, primitive.size, primitive.axes))
+    center, size, axes = (
+        np.asarray(x, np.float64) if known else jnp.stack([jnp.asarray(row) for row in x])
+        for x in (primitive.center, primitive.size, primitive.axes)
     )
+    edges = size[:, None] * axes
+    left_handed = known and np.linalg.det(axes) < 0.0
+    faces = []
+    for k in range(3):
+        for sign in (-1.0, 1.0):
+            u, v = edges[(k + 1) % 3], edges[(k + 2) % 3]
+            corner = center + 0.5 * (sign * edges[k] - u - v)
+            # The normal is along cross(u, v).
+            faces.append(Quad(corner, *((u, v) if (sign > 0.0) ^ primitive.inward ^ left_handed else (v, u))))
+    return faces
 
 
 def check_range(primitives) -> None:
@@ -43,14 +74,31 @@ def check_range(primitives) -> None:
     for p in primitives:
         if not is_known([p]):
             continue
-        sizes = [p.radius] if isinstance(p, Sphere) else [np.linalg.norm(p.edge_u), np.linalg.norm(p.edge_v)]
-        lengths = [*sizes, np.abs(p.center if isinstance(p, Sphere) else p.corner).max()]
+        sizes = [float(s) for s in _sizes(p)]
+        lengths = [*sizes, *(float(np.abs(getattr(p, name)).max()) for name in _places(p))]
         if min(sizes) < least or max(lengths) > 1.0 / least:
             wrong = min(sizes) if min(sizes) < least else max(lengths)
             raise ValueError(
                 f"a {type(p).__name__} has a length of {wrong:g}, but {kind} holds the squares of lengths from "
                 f"{least:.0e} to {1.0 / least:.0e} only; scale the scene"
             )
+
+
+def _sizes(p):
+    """Return the lengths that make the size of a primitive."""
+    if isinstance(p, Sphere):
+        return [p.radius]
+    if isinstance(p, Box):
+        return list(p.size)
+    return [np.linalg.norm(edge) for edge in edges_of(p)]
+
+
+def edges_of(face):
+    """Return the two edges of a quad or a triangle that meet in its first corner, shape (3,) each."""
+    if isinstance(face, Quad):
+        return np.asarray(face.edge_u, np.float64), np.asarray(face.edge_v, np.float64)
+    a, b, c = (np.asarray(x, np.float64) for x in (face.a, face.b, face.c))
+    return b - a, c - a
 
 
 def check_radiances(name, colors) -> None:
@@ -91,19 +139,19 @@ def _eps(kind):
 
 def _given_eps(p):
     """Return the rounding of the numbers that a primitive was given in."""
-    arrays = [np.asarray(x) for x in ((p.corner, p.edge_u, p.edge_v) if isinstance(p, Quad) else (p.center,))]
+    arrays = [np.asarray(getattr(p, name)) for name in _places(p)]
     return max(float(np.finfo(a.dtype if a.dtype.kind == "f" else np.float64).eps) for a in arrays)
 
 
 def moved(primitive, offset):
     """Return a primitive moved by ``offset``, shape (3,)."""
-    place = "corner" if isinstance(primitive, Quad) else "center"
-    return dataclasses.replace(primitive, **{place: np.asarray(getattr(primitive, place), np.float64) + offset})
+    places = {name: np.asarray(getattr(primitive, name), np.float64) + offset for name in _places(primitive)}
+    return dataclasses.replace(primitive, **places)
 
 
 def _box(p):
-    """Return the lower and the upper corner of the box around a primitive, shape (2, 3)."""
-    if isinstance(p, Quad):
+    """Return the lower and the upper corner of the box around a face, shape (2, 3)."""
+    if not isinstance(p, Sphere):
         points = corners(p)
         return np.stack([points.min(0), points.max(0)])
     center = np.asarray(p.center, np.float64)
@@ -119,18 +167,19 @@ def _size(box):
     return float((box[1] - box[0]).max()) / 2.0
 
 
-def corners(quad) -> np.ndarray:
-    """Return the corners of a parallelogram, shape (4, 3)."""
-    corner, u, v = (np.asarray(x, np.float64) for x in (quad.corner, quad.edge_u, quad.edge_v))
-    return np.stack([corner, corner + u, corner + v, corner + u + v])
+def corners(face) -> np.ndarray:
+    """Return the corners of a parallelogram or of a triangle, its last one twice, shape (4, 3)."""
+    corner = np.asarray(face.corner if isinstance(face, Quad) else face.a, np.float64)
+    u, v = edges_of(face)
+    return np.stack([corner, corner + u, corner + v, corner + u + v if isinstance(face, Quad) else corner + v])
 
 
 class Touch(NamedTuple):
-    """What primitives have to do with each other, each a tuple over the primitives or of their numbers.
+    """What faces have to do with each other, each a tuple over the faces or of their numbers.
 
-    twins: for each primitive the others on the same plane or sphere: a ray that leaves it cannot meet them either.
-    free: for each primitive whether it is a quad that touches no other, so that its edges need not overlap.
-    casters: those that can lie between two points of the scene. A quad with all of it on one side of its plane cannot.
+    twins: for each face the others on the same plane or sphere: a ray that leaves it cannot meet them either.
+    free: for each face whether it is flat and touches no other, so that its edges need not overlap.
+    casters: those that can lie between two points of the scene. A flat one with all of it on one side cannot.
     empty: the spheres with no part of the scene inside.
     tight: whether two planes lie so close to each other that a hit must be exactly on its own.
     """
@@ -142,46 +191,57 @@ class Touch(NamedTuple):
     tight: bool
 
 
-def touch(primitives, normals, layout: Layout) -> Touch:
-    """Return what primitives have to do with each other; ``normals`` are those of the quads, None for spheres."""
-    count = len(primitives)
-    if not is_known(primitives):
+def touch(faces, normals, layout: Layout) -> Touch:
+    """Return what faces have to do with each other; ``normals`` are those of the flat ones, None for spheres."""
+    count = len(faces)
+    if not is_known(faces):
         return Touch(((),) * count, (False,) * count, tuple(range(count)), (), True)
-    slack = 4.0 * layout.grain
-    quad = np.array([n is not None for n in normals], bool)
+    flat = np.array([n is not None for n in normals], bool)
     normal = np.array([(0.0, 0.0, 0.0) if n is None else n for n in normals]).reshape(-1, 3)
-    points = np.array([_points(p) for p in primitives]).reshape(-1, 4, 3)
-    radius = np.array([0.0 if isinstance(p, Quad) else p.radius for p in primitives])
-    other, both, neither = ~np.eye(count, dtype=bool), quad[:, None] & quad, ~quad[:, None] & ~quad
-
-    # Heights of the points of primitive j over the plane of quad i, at [i, j], and how far apart the centres are.
-    height = np.einsum("ijkx,ix->ijk", points - points[:, None, :1], normal)
-    low, high = height.min(-1) - radius, height.max(-1) + radius
-    distance = np.linalg.norm(points[:, None, 0] - points[:, 0], axis=-1)
-    hull = quad & ((low >= -slack).all(1) | (high <= slack).all(1))
-
-    # A quad counts as its whole plane: a sphere is then called empty too rarely, never too often.
-    clear = (distance >= radius[:, None] + radius - slack) | ~(neither & other)
-    empty = ~quad & clear.all(1) & ((np.abs(height[:, :, 0]) >= radius - slack) | ~quad[:, None]).all(0)
-
-    beyond = np.maximum(np.abs(low), np.abs(high))  # the largest height of j over the plane of i
-    flat = beyond <= slack
-    same = (distance <= slack) & (np.abs(radius[:, None] - radius) <= slack)
-    twins = other & ((both & flat & flat.T) | (neither & same))
-    tight = (beyond < TIGHT * layout.extent) & both & other & ~twins
-
-    lower, upper = points.min(1), points.max(1)
-    apart = (lower[:, None] - upper > slack).any(-1) | (low > slack) | (high < -slack)
-    free = quad & (apart | apart.T | ~(both & other)).all(1)
+    points = np.array([_points(p) for p in faces]).reshape(-1, 4, 3)
+    radius = np.array([p.radius if isinstance(p, Sphere) else 0.0 for p in faces])
+    # Some rows at a time: memory for all pairs would be large.
+    parts = [
+        _compare(np.arange(i, min(i + ROWS, count)), flat, normal, points, radius, layout)
+        for i in range(0, count, ROWS)
+    ]
+    hull, clear, uncut, coplanar, same, tight, apart = (np.concatenate(p) for p in zip(*parts)) if parts else [flat] * 7
+    twins = (coplanar & coplanar.T) | same
     numbers = np.arange(count)
     return Touch(
         twins=tuple(tuple(numbers[row].tolist()) for row in twins),
-        free=tuple(free.tolist()),
+        free=tuple((flat & (apart | apart.T).all(1)).tolist()) if count else (),
         casters=tuple(numbers[~hull].tolist()),
-        empty=tuple(numbers[empty].tolist()),
-        tight=bool(tight.any()),
+        empty=tuple(numbers[~flat & clear & uncut.all(0)].tolist()) if count else (),
+        tight=bool((tight & ~twins).any()),
     )
 
 
+def _compare(rows, flat, normal, points, radius, layout):
+    """Compare the faces ``rows`` with all: for each row whether it has the whole scene on one side, and whether it is a
+    sphere apart from all others; for each pair whether the row's plane misses the other, a sphere; whether that is
+    flat in the same plane; the same sphere; flat in a plane close by; apart from it.
+    """
+    slack = 4.0 * layout.grain
+    other = rows[:, None] != np.arange(len(flat))
+    both, neither = flat[rows, None] & flat & other, ~flat[rows, None] & ~flat & other
+
+    # Heights of the points of face j over the plane of face i, at [i, j], and how far apart the centres are.
+    height = np.einsum("ijkx,ix->ijk", points - points[rows, None, :1], normal[rows])
+    low, high = height.min(-1) - radius, height.max(-1) + radius
+    distance = np.linalg.norm(points[rows, None, 0] - points[:, 0], axis=-1)
+    hull = flat[rows] & ((low >= -slack).all(1) | (high <= slack).all(1))
+
+    # A flat face counts as its whole plane: a sphere is then called empty too rarely, never too often.
+    clear = ((distance >= radius[rows, None] + radius - slack) | ~neither).all(1)
+    uncut = (np.abs(height[:, :, 0]) >= radius - slack) | ~flat[rows, None]
+
+    beyond = np.maximum(np.abs(low), np.abs(high))  # the largest height of j over the plane of i
+    same = neither & (distance <= slack) & (np.abs(radius[rows, None] - radius) <= slack)
+    lower, upper = points.min(1), points.max(1)
+    apart = (lower[rows, None] - upper > slack).any(-1) | (low > slack) | (high < -slack) | ~both
+    return hull, clear, uncut, both & (beyond <= slack), same, both & (beyond < TIGHT * layout.extent), apart
+
+
 def _points(p):
-    return corners(p) if isinstance(p, Quad) else np.broadcast_to(np.asarray(p.center, np.float64), (4, 3))
+    return np.broadcast_to(np.asarray(p.center, np.float64), (4, 3)) if isinstance(p, Sphere) else corners(p)

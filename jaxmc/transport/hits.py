@@ -5,64 +5,56 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from . import shapes
+from . import shape_tables, shapes
 from .derivatives import root
 from .primitives import is_concrete
+from .rays import Ray
 from .scene import Scene
-from .shapes import Ray
 from .vec import Vec3, dot, larger, smaller, where
 from .warps import grazing
 
 
 class Hit(NamedTuple):
-    """Where a ray ends: ``primitive`` is -1 and ``distance`` infinite where it leaves the scene."""
+    """Where a ray ends: ``face`` is -1 and ``distance`` infinite where it leaves the scene."""
 
     distance: Any
-    primitive: Any
+    face: Any
 
 
 class Surface(NamedTuple):
-    """A point to scatter at; the unit normal is on the side that the path came from."""
+    """A point to scatter at; the unit normal is on the side that the path came from.
+
+    ``behind`` says that this is the back of the face; None where nobody asks.
+    """
 
     point: Vec3
     normal: Vec3
     reflectance: Any
-    primitive: Any
+    face: Any
+    behind: Any = None
 
 
 def closest_hit(scene: Scene, ray: Ray, own=-1) -> Hit:
-    """Return the closest hit of one ray that starts on primitive ``own`` (-1: on none)."""
-    distances = [_distance(scene, i, ray, own) for i in range(scene.size)]
-    if not distances:
-        return Hit(jnp.inf, -1)
-    # Keep all distances, then compare: two wide kernels instead of a chain of masks.
-    nearest = distances[0]
-    for distance in distances[1:]:
-        nearest = smaller(nearest, distance)
-    primitive = 0
-    for i, distance in enumerate(distances[1:], 1):
-        primitive = jnp.where(distance == nearest, i, primitive)
-    return Hit(nearest, jnp.where(nearest < jnp.inf, primitive, -1))
-
-
-def _distance(scene, i, ray, own):
-    if scene.shapes[i] == "quad":
-        return shapes.intersect_quad(scene.quads[i], ray, is_same(scene, own, i))
-    return shapes.intersect_sphere(scene.spheres[i], ray, is_same(scene, own, i))
-
-
-def is_same(scene, own, i):
-    """Return whether primitive ``own`` is ``i`` or lies on the same plane or sphere."""
-    same = own == i
-    for twin in scene.twins[i]:
-        same = same | (own == twin)
-    return same
+    """Return the closest hit of one ray that starts on face ``own`` (-1: on none)."""
+    found = [shapes.intersect(s, i, ray, own, scene.is_same(own, i)) for i, s in zip(scene.first, scene.shapes)]
+    distance, face = jnp.inf, -1
+    if found:
+        # Keep all distances, then compare: two wide kernels instead of a chain of masks.
+        (distance, face), *others = found
+        for other, _ in others:
+            distance = smaller(distance, other)
+        for other, its_face in others:
+            face = jnp.where(other == distance, its_face, face)
+    for table in scene.tables:
+        best = jnp.asarray(distance, float), jnp.asarray(face, jnp.int32)
+        distance, face = shape_tables.nearest(table, ray, own, scene.plane_of(own), best)
+    return Hit(distance, jnp.where(distance < jnp.inf, face, -1)) if found or scene.tables else Hit(jnp.inf, -1)
 
 
 def approach(scene: Scene, ray: Ray) -> tuple[Ray, Any]:
     """Return the ray from a start near the scene, and how far that is along it.
 
-    The digits that a far start costs are then lost once, and alike for all primitives: none slips between them.
+    The digits that a far start costs are then lost once, and alike for all faces: none slips between them.
     """
     squared = dot(ray.origin, ray.origin)
     if is_concrete((squared, scene.reach)):
@@ -72,56 +64,68 @@ def approach(scene: Scene, ray: Ray) -> tuple[Ray, Any]:
     return Ray(ray.origin + ray.direction * ahead, ray.direction, ray.inverse), ahead
 
 
-def primitive_at(scene: Scene, point):
-    """Return the primitive on which a point lies, to rounding, or ``scene.size``, which no primitive has."""
+def face_at(scene: Scene, point):
+    """Return the face on which a point lies, to rounding, or ``scene.size``, which no face has."""
     found = scene.size
-    for i in range(scene.size):
-        quad, sphere = scene.quads[i], scene.spheres[i]
-        on = shapes.is_on_sphere(sphere, point) if quad is None else shapes.is_on_quad(quad, point)
-        found = jnp.where(on, i, found)
+    for first, shape in zip(scene.first, scene.shapes):
+        face = shapes.face_at(shape, point)
+        found = jnp.where(face >= 0, first + face, found)
+    for table in scene.tables:
+        found = shape_tables.face_at(table, point, jnp.asarray(found, jnp.int32))
     return found
 
 
-def _at(table, i):
-    return jax.tree.map(lambda one: one.at(i), table, is_leaf=lambda x: hasattr(x, "group"))
-
-
 def unoccluded(scene: Scene, ray: Ray, length, own, target, anywhere=False):
-    """Return whether no primitive but ``own`` and ``target`` cuts the first ``length`` of the ray.
+    """Return whether nothing but the faces ``own`` and ``target`` cuts the first ``length`` of the ray.
 
-    ``anywhere`` says that the ray need not start on a primitive, so that facts about the scene's points do not help.
+    ``anywhere`` says that the ray need not start on a face, so that facts about the scene's points do not help.
     """
     free = True
-    for i in range(scene.size) if anywhere else scene.casters:
-        targets = [light for light in scene.lights if light == i or light in scene.twins[i]]
-        if targets and scene.lights == (targets[0],):
-            continue  # the only light is always the target
-        if scene.shapes[i] == "quad":
-            blocked = shapes.intersect_quad(scene.quads[i], ray, is_same(scene, own, i)) < length
-        else:
-            empty = i in scene.empty and not anywhere
-            blocked = shapes.sphere_blocks(scene.spheres[i], ray, length, is_same(scene, own, i), empty)
-        free = free & ~(blocked & ~is_same(scene, target, i)) if targets else free & ~blocked
+    for first, shape in zip(scene.first, scene.shapes):
+        faces = range(first, first + shapes.faces(shape))
+        if not anywhere and not any(face in scene.casters for face in faces):
+            continue
+        targets = {light for face in faces for light in scene.lights if light in (face, *scene.twins[face])}
+        if targets and targets == set(scene.lights):
+            continue  # the target is always on it
+        empty = first in scene.empty and not anywhere
+        blocked = shapes.blocks(shape, first, ray, length, own, scene.is_same(own, first), empty)
+        if targets:
+            is_target = scene.is_same(target, first)
+            for face in faces[1:]:
+                is_target = is_target | scene.is_same(target, face)
+            blocked = blocked & ~is_target
+        free = free & ~blocked
+    for table in scene.tables:
+        planes = scene.plane_of(own), scene.plane_of(target)
+        free = free & ~shape_tables.blocks(table, ray, length, own, planes[0], target, planes[1], anywhere)
     return free
 
 
 def surface_at(scene: Scene, ray: Ray, hit: Hit) -> Surface:
     """Return the surface that a ray has hit."""
-    i = hit.primitive
+    i = hit.face
     point = ray.origin + ray.direction * jnp.where(i >= 0, hit.distance, 0.0)
-    anchor, normal = _at(scene.anchor, i), _at(scene.normal, i)
+    anchor, normal = at(scene.anchor, i), at(scene.normal, i)
     offset = point - anchor
     if scene.tight:
         # Draw the hit onto its plane.
         offset = offset - normal * dot(normal, offset)
         point = anchor + offset
-    # Draw the hit into its quad by the rounding error, along the quad, so that it lies within neighbouring walls.
-    point = point - offset * _at(scene.inset, i)
+    # Draw the hit into its face by the rounding error, along the face, so that it lies within neighbouring walls.
+    point = point - offset * at(scene.inset, i)
     if scene.inverse_radius is not None:
-        # One Newton step for 1 / |offset| from 1 / radius; inverse_radius is 0 on quads and negative where the
+        # One Newton step for 1 / |offset| from 1 / radius; inverse_radius is 0 on flat faces and negative where the
         # normal points inward.
-        inverse = _at(scene.inverse_radius, i)
+        inverse = at(scene.inverse_radius, i)
         normal = normal + offset * (inverse * (1.5 - 0.5 * dot(offset, offset) * inverse * inverse))
     # At the rim of a sphere rounding must not decide the side: half of ``grazing`` is less than any ray inside has.
     back = dot(normal, ray.direction) > 0.5 * grazing()
-    return Surface(point, where(back, -normal, normal), _at(scene.reflectance, i), i)
+    return Surface(
+        point, where(back, -normal, normal), at(scene.reflectance, i), i, back if scene.dielectrics else None
+    )
+
+
+def at(table, i):
+    """Return the values of face ``i`` in a ``Lookup`` or a tree of them."""
+    return jax.tree.map(lambda one: one.at(i), table, is_leaf=lambda x: hasattr(x, "group"))

@@ -2,7 +2,8 @@
 
 import copy
 import dataclasses
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -14,24 +15,24 @@ from ..integration.estimate import Estimate
 from ..integration.integrand import Integrand
 from ..integration.moments import Moments, MomentsResult
 from ..integration.samplers import Independent
-from . import shapes
 from .camera import Camera
-from .hits import Hit, Surface, approach, closest_hit, primitive_at, surface_at
+from .hits import Hit, Surface, approach, closest_hit, face_at, surface_at
+from .lights import black
 from .materials import luminance
-from .paths import PathState, Strategy, black, finish, follow, scatter, trace
+from .paths import PathState, finish, follow, scatter, trace
 from .primitives import as_unit, as_vec3, is_concrete
+from .rays import Ray, ray
 from .scene import Scene
+from .strategy import PathOptions, Strategy
 from .vec import Vec3, dot, normalize
 
 FAR = 8.0  # times the size of the scene: from there its rays start nearer
 
 
-def path_integrand(
-    scene: Scene, camera: Camera, *, bounces, directions="cosine", lights="mis", clamp=None, hide_emitters=False
-) -> Integrand:
+def path_integrand(scene: Scene, camera: Camera, *, bounces, **options: Unpack[PathOptions]) -> Integrand:
     """Return the mean radiance of a camera's image as one flat integral.
 
-    The first two coordinates are the film position (x, y) over the whole image, then come 2 to 5 for each scattering
+    The first two coordinates are the film position (x, y) over the whole image, then come 2 to 8 for each scattering
     event; ``Integrand.labels`` names them. The value is radiance, linear: a number for a grey scene, else RGB of shape
     (3,). ``jax.grad`` with respect to the scene's values gives the interior derivative only: what moving silhouettes
     and shadow edges add is missing.
@@ -40,49 +41,55 @@ def path_integrand(
         scene: what is there.
         camera: where it is seen from.
         bounces: largest number of scattering events; 0 is emission seen directly.
-        directions: how a diffuse surface draws directions: "cosine" (weighted) or "uniform".
-        lights: "none" waits until a path meets a light, "nee" samples a light at each event, "mis" does both and
-            weights them by the power heuristic.
-        clamp: scale each sample down to this luminance; biased. None: leave it.
-        hide_emitters: leave out lights that the camera sees by itself or over mirrors alone.
+        options: ``directions``, ``lights``, ``pick``, ``sample_sky``, ``roulette``, ``clamp``, ``hide_emitters``: see
+            ``PathOptions``.
 
     Raises:
-        ValueError: an unknown option, or a scene or camera that is none.
+        ValueError: an option out of range, or a scene or camera that is none.
+        TypeError: an unknown option.
     """
-    _check(scene, Scene, "scene", "mc.Scene([...])")
-    _check(camera, Camera, "camera", "mc.PinholeCamera(...)")
-    strategy = Strategy(bounces, directions, lights, clamp, hide_emitters)
-    camera, far = _local(scene, camera)
-    return _integrand(_Film(strategy, far), scene, (camera,), ("film: x", "film: y"))
+    return _through_film(_Film, scene, camera, Strategy(bounces, **options))
 
 
-def radiance(scene: Scene, origin, direction, *, bounces, directions="cosine", lights="mis", clamp=None) -> Integrand:
+def neumann_terms(scene: Scene, camera: Camera, *, bounces, **options: Unpack[PathOptions]) -> Integrand:
+    """Return the mean radiance of an image by path length, as an integrand of shape (bounces + 1,) or (bounces + 1, 3).
+
+    Term k is the light that comes after exactly k scattering events: one flat integral for each, over the first
+    coordinates of the same path. Their sum is ``path_integrand``, sample by sample. Options as there, but no ``clamp``.
+    """
+    strategy = Strategy(bounces, **options)
+    if strategy.clamp is not None:
+        raise ValueError("neumann_terms has no clamp: it would apply to the sum of the terms; leave it out")
+    return _through_film(_Terms, scene, camera, strategy)
+
+
+def radiance(scene: Scene, origin, direction, *, bounces, **options: Unpack[PathOptions]) -> Integrand:
     """Return the radiance that arrives at ``origin`` from ``direction`` as an integrand; options as ``path_integrand``.
 
     ``direction`` points away from ``origin``, along the ray, and may have any length.
     """
     _check(scene, Scene, "scene", "mc.Scene([...])")
-    strategy = Strategy(bounces, directions, lights, clamp)
-    start = shapes.Ray(scene.local(as_vec3("origin", origin)), as_unit("direction", direction), None)
+    strategy = Strategy(bounces, **options)
+    start = Ray(scene.local(as_vec3("origin", origin)), as_unit("direction", direction), None)
     start, _ = approach(scene, start)
     return _integrand(_Ray(strategy), scene, (start.origin, start.direction), ())
 
 
-def irradiance(scene: Scene, point, normal, *, bounces, directions="cosine", lights="mis", clamp=None) -> Integrand:
+def irradiance(scene: Scene, point, normal, *, bounces, **options: Unpack[PathOptions]) -> Integrand:
     """Return the irradiance at a point as an integrand; options as ``path_integrand``.
 
     ``bounces`` counts scattering events between light and point: 0 is direct light alone. The receiver is not part of
-    the scene; one that lies on a primitive, to rounding, is not shadowed by it. ``normal`` may have any length.
+    the scene; one that lies on a face, to rounding, is not shadowed by it. ``normal`` may have any length.
     """
     _check(scene, Scene, "scene", "mc.Scene([...])")
-    strategy = Strategy(bounces, directions, lights, clamp)
+    strategy = Strategy(bounces, **options)
     point = scene.local(as_vec3("point", point))
     return _integrand(_Receiver(strategy), scene, (point, as_unit("normal", normal)), (), extra=1)
 
 
 def render(
-    scene: Scene, camera: Camera, *, spp, bounces=5, directions="cosine", lights="mis", clamp=None, hide_emitters=False,
-    key=0, sampler=Independent(), replicates=None, tallies=None, progress=None, workers=None, chunk=None,
+    scene: Scene, camera: Camera, *, spp, bounces=5, key=0, sampler=Independent(), replicates=None, tallies=None,
+    progress=None, workers=None, chunk=None, **options: Unpack[PathOptions],
 ) -> Estimate:  # fmt: skip
     """Render an image: one integral for each pixel, ``spp`` samples each.
 
@@ -95,9 +102,7 @@ def render(
         An ``Estimate`` whose mean, variance and stderr have shape ``(height, width, 3)``: radiance, not clipped.
         ``Moments`` among ``tallies`` come back in that shape too.
     """
-    integrand = path_integrand(
-        scene, camera, bounces=bounces, directions=directions, lights=lights, clamp=clamp, hide_emitters=hide_emitters
-    )
+    integrand = path_integrand(scene, camera, bounces=bounces, **options)
     estimate = integrate_each(
         integrand, camera.width * camera.height, n=positive("spp", spp), key=key, sampler=sampler,
         replicates=replicates, tallies=tallies, progress=progress, workers=workers, chunk=chunk,
@@ -111,7 +116,7 @@ def render(
     return dataclasses.replace(estimate, moments=moments, tallies=further, between=between)
 
 
-def path_throughput(scene: Scene, camera: Camera, *, events, directions="cosine") -> Integrand:
+def path_throughput(scene: Scene, camera: Camera, *, events, directions="bsdf") -> Integrand:
     """Return the luminance of a camera path's throughput after each number of scattering events in ``events``.
 
     The value has shape ``(len(events),)``; it is 0 where the path has left the scene before. Options and coordinates
@@ -120,17 +125,14 @@ def path_throughput(scene: Scene, camera: Camera, *, events, directions="cosine"
     numbers = tuple(events) if np.ndim(events) == 1 else ()
     if not numbers or not all(map(is_count, numbers)):
         raise ValueError(f"events must be a list of positive integers, got {events!r}")
-    _check(scene, Scene, "scene", "mc.Scene([...])")
-    _check(camera, Camera, "camera", "mc.PinholeCamera(...)")
     numbers = tuple(map(int, numbers))
     strategy = Strategy(max(numbers), directions, "none")
-    camera, far = _local(scene, camera)
-    return _integrand(_Throughput(strategy, far, numbers), scene, (camera,), ("film: x", "film: y"))
+    return _through_film(partial(_Throughput, events=numbers), scene, camera, strategy)
 
 
 class Intersection(NamedTuple):
     """Closest hits: ``primitive`` (n,) is -1 and ``distance`` (n,) infinite for a miss; ``point`` and ``normal`` are
-    (n, 3), the normal on the side of the ray's origin."""
+    (n, 3), the normal on the side of the ray's origin. Primitives are numbered as they were given to the scene."""
 
     distance: jax.Array
     primitive: jax.Array
@@ -153,11 +155,11 @@ def intersect(scene: Scene, origins, directions) -> Intersection:
 @jax.jit
 def _intersect(scene, origins, directions):
     def one(origin, direction):
-        ray, ahead = approach(scene, shapes.ray(Vec3(*origin), normalize(Vec3(*direction))))
-        hit = closest_hit(scene, ray)
-        surface = surface_at(scene, ray, hit)
+        start, ahead = approach(scene, ray(Vec3(*origin), normalize(Vec3(*direction))))
+        hit = closest_hit(scene, start)
+        surface = surface_at(scene, start, hit)
         point, normal = jnp.stack(surface.point) + scene.middle, jnp.stack(surface.normal)
-        return Intersection(hit.distance + ahead, hit.primitive, point, normal)
+        return Intersection(hit.distance + ahead, scene.primitive_of(hit.face), point, normal)
 
     return jax.vmap(one)(origins, directions)
 
@@ -174,11 +176,11 @@ class _Film:
 
     def start(self, u, scene, camera, pixel=None):
         if pixel is None:
-            ray = camera.ray(u[0] * camera.width, u[1] * camera.height)
+            first = camera.ray(u[0] * camera.width, u[1] * camera.height)
         else:
             column, row = pixel % camera.width, pixel // camera.width
-            ray = camera.ray(column.astype(float) + u[0], row.astype(float) + u[1])
-        return approach(scene, ray)[0] if self.far else ray
+            first = camera.ray(column.astype(float) + u[0], row.astype(float) + u[1])
+        return approach(scene, first)[0] if self.far else first
 
     def __call__(self, u, scene, camera, pixel=None):
         return finish(self.strategy, trace(scene, self.strategy, u, 2, self.start(u, scene, camera, pixel))[0])
@@ -192,10 +194,25 @@ class _Throughput(_Film):
 
     def __call__(self, u, scene, camera, pixel=None):
         def observe(surface, after):
-            return jnp.where(surface.primitive >= 0, luminance(after.beta), 0.0)
+            return jnp.where(surface.face >= 0, luminance(after.beta), 0.0)
 
         _, throughput = trace(scene, self.strategy, u, 2, self.start(u, scene, camera, pixel), observe)
         return jnp.asarray(throughput)[jnp.array(self.events) - 1]
+
+
+class _Terms(_Film):
+    """Radiance through a film position by path length."""
+
+    def __call__(self, u, scene, camera, pixel=None):
+        start = self.start(u, scene, camera, pixel)
+        direct, _ = trace(scene, self.strategy.without_bounces(), u, 2, start)
+        _, totals = trace(scene, self.strategy, u, 2, start, lambda surface, after: after.radiance)
+        values = jnp.stack(direct) if isinstance(direct, Vec3) else direct
+        if totals is None:
+            return values[None]
+        totals = jnp.stack(totals, -1) if isinstance(totals, Vec3) else totals
+        totals = jnp.concatenate([values[None], totals])
+        return jnp.concatenate([totals[:1], jnp.diff(totals, axis=0)])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -205,7 +222,7 @@ class _Ray:
     strategy: Strategy
 
     def __call__(self, u, scene, origin, direction):
-        return finish(self.strategy, trace(scene, self.strategy, u, 0, shapes.ray(origin, direction))[0])
+        return finish(self.strategy, trace(scene, self.strategy, u, 0, ray(origin, direction))[0])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -216,14 +233,22 @@ class _Receiver:
 
     def __call__(self, u, scene, point, normal):
         one = jnp.ones(()) if scene.channels == 1 else Vec3(*[jnp.ones(())] * 3)
-        surface = Surface(point, normal, one, primitive_at(scene, point))
-        nowhere = PathState(shapes.ray(point, normal), Hit(jnp.inf, -1), one, black(scene), None)
+        surface = Surface(point, normal, one, face_at(scene, point))
+        nowhere = PathState(ray(point, normal), Hit(jnp.inf, -1), one, black(scene), None)
         around = copy.copy(scene)
-        around.mirrors = ()  # the receiver is no mirror, whatever it lies on
+        # The receiver is diffuse, whatever it lies on.
+        around.mirrors = around.rough = around.metals = around.dielectrics = ()
         state = scatter(around, self.strategy, u, 0, surface, nowhere, anywhere=True)
         first = len(self.strategy.coordinates(scene))
         radiance, _ = follow(scene, self.strategy, u, first, state, self.strategy.bounces)
         return finish(self.strategy, jax.tree.map(lambda x: x * np.pi, radiance))
+
+
+def _through_film(kind, scene, camera, strategy):
+    _check(scene, Scene, "scene", "mc.Scene([...])")
+    _check(camera, Camera, "camera", "mc.PinholeCamera(...)")
+    camera, far = _local(scene, camera)
+    return _integrand(kind(strategy, far), scene, (camera,), ("film: x", "film: y"))
 
 
 def _local(scene, camera):

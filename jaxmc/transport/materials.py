@@ -1,19 +1,14 @@
-"""Materials: how a surface scatters. Written for one vertex, in world directions that leave the surface."""
+"""Materials: what a user says of how a surface scatters. ``bsdfs`` says how that is computed."""
 
 import dataclasses
-from typing import Any
+from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
 
-from .vec import Vec3, dot, frame, larger
-from .warps import (
-    grazing,
-    pdf_cosine_hemisphere,
-    pdf_uniform_hemisphere,
-    sample_cosine_hemisphere,
-    sample_uniform_hemisphere,
-)
+from .vec import Vec3
+
+# Of a material: numbers that lie in a range, as (name, above, at most).
+Ranges = ClassVar[tuple[tuple[str, float, float], ...]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,6 +20,7 @@ class Diffuse:
     """
 
     albedo: Any = 0.5
+    ranges: Ranges = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,60 +32,53 @@ class Mirror:
     """
 
     reflectance: Any = 1.0
+    ranges: Ranges = ()
 
 
-def sample_diffuse(directions: str, normal: Vec3, u1, u2):
-    """Return (wi, density of wi per solid angle, weight).
+@dataclasses.dataclass(frozen=True)
+class RoughConductor:
+    """A rough metal, on both sides: microfacets of the GGX distribution, height-correlated masking, one reflection.
 
-    ``weight`` is BRDF times cosine over density for albedo 1: exactly 1 for ``directions="cosine"``, 2 cos(theta)
-    for ``"uniform"``.
+    Light that facets would reflect more than once is lost, as in most renderers: a white conductor of roughness 1
+    reflects about half.
+
+    Attributes:
+        roughness: GGX's alpha, in (0, 1], not its square root; kept at 1e-3 or more.
+        reflectance: of the facets, in [0, 1]: a number or an RGB triple. With ``eta`` a further factor.
+        eta, k: real and imaginary part of the metal's index of refraction, numbers or RGB triples; None, both, for
+            facets that reflect the same at all angles. With them Fresnel's equations hold.
     """
-    if directions == "cosine":
-        local = sample_cosine_hemisphere(u1, u2)
-        pdf, weight = pdf_cosine_hemisphere(local.z), 1.0
-    else:
-        local = sample_uniform_hemisphere(u1, u2)
-        pdf, weight = pdf_uniform_hemisphere(), 2.0 * local.z
-    tangent, bitangent = frame(normal)
-    return tangent * local.x + bitangent * local.y + normal * local.z, pdf, weight
+
+    roughness: Any = 0.1
+    reflectance: Any = 1.0
+    eta: Any = None
+    k: Any = None
+    ranges: Ranges = (("roughness", 0.0, 1.0),)
 
 
-def pdf_diffuse(directions: str, cos_theta):
-    """Return the density per solid angle with which ``sample_diffuse`` draws a direction at ``cos_theta``."""
-    return pdf_cosine_hemisphere(cos_theta) if directions == "cosine" else pdf_uniform_hemisphere()
+@dataclasses.dataclass(frozen=True)
+class Dielectric:
+    """A smooth interface to glass or water: it reflects by Fresnel's equations and refracts the rest.
 
+    The medium lies behind the surface, where its normal points away from: inside a sphere or a box, beneath a quad.
+    Outside is vacuum. Radiance changes by the square of the index on the way.
 
-def reflect(direction: Vec3, normal: Vec3) -> Vec3:
-    """Return ``direction`` reflected by a plane with unit normal ``normal`` on the side that it comes from."""
-    reflected = direction + normal * (2.0 * larger(-dot(direction, normal), grazing()))
-    # One Newton step to unit length: without it many reflections add up their rounding errors.
-    return reflected * (1.5 - 0.5 * dot(reflected, reflected))
-
-
-def power_heuristic(inverse_pdf, other_pdf):
-    """Return p^2 / (p^2 + q^2) for p = 1 / ``inverse_pdf`` and q = ``other_pdf`` (Veach 1997).
-
-    In terms of the ratio q / p it cannot overflow: an infinite ratio gives 0.
+    Attributes:
+        ior: index of refraction of the medium, above 0; below 1 for a bubble.
     """
-    ratio = inverse_pdf * other_pdf
-    return 1.0 / (1.0 + ratio * ratio)
+
+    ior: Any = 1.5
+    ranges: Ranges = (("ior", 0.0, 100.0),)
 
 
-@jax.custom_jvp
-def weight_of_hit(pdf, inverse_light_pdf):
-    """Return the power heuristic of density ``pdf`` against sampling a light: 0, with derivative 0, where the light
-    cannot be sampled and ``inverse_light_pdf`` is 0.
-    """
-    return power_heuristic(1.0 / pdf, 1.0 / inverse_light_pdf)
+Material = Diffuse | Mirror | RoughConductor | Dielectric
 
 
-@weight_of_hit.defjvp
-def _weight_derivative(densities, tangents):
-    pdf, inverse = densities
-    weight = weight_of_hit(pdf, inverse)
-    inverse = jnp.where(inverse > 0.0, 1.0 / inverse, 0.0)
-    relative = tangents[0] / pdf + tangents[1] * inverse
-    return weight, 2.0 * weight * (1.0 - weight) * relative
+def colors_of(material: Material) -> dict[str, Any]:
+    """Return the fractions of light that a material reflects, by name: one, or none for a dielectric."""
+    if isinstance(material, Dielectric):
+        return {}
+    return {"albedo": material.albedo} if isinstance(material, Diffuse) else {"reflectance": material.reflectance}
 
 
 def luminance(rgb):

@@ -5,65 +5,29 @@ light sampling, two for the point on the light and one to pick the light where t
 direction. So what matters most comes first, which evenly spread points want. ``Integrand.labels`` names them all.
 """
 
-import dataclasses
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
-from ..integration.counts import is_count
-from . import shapes
-from .hits import Hit, Surface, closest_hit, is_same, surface_at, unoccluded
-from .materials import luminance, pdf_diffuse, power_heuristic, reflect, sample_diffuse, weight_of_hit
-from .primitives import is_number
+from . import bsdfs
+from .bsdfs import evaluate_bsdf, kinds_of, power_heuristic, sample_bsdf, weight_of_hit
+from .hits import Hit, Surface, closest_hit, surface_at, unoccluded
+from .lights import black, emission_toward, probability_of, sample_light
+from .materials import luminance
+from .rays import Ray, ray
 from .scene import Scene
-from .shapes import LightSample, QuadLight, Ray
-from .sky import sky_radiance
-from .vec import Vec3, dot, where
-
-POLAR, AZIMUTH = "direction: polar", "direction: azimuth"
-
-
-@dataclasses.dataclass(frozen=True)
-class Strategy:
-    """How paths are sampled: the static options of every path integrand."""
-
-    bounces: int
-    directions: str = "cosine"
-    lights: str = "mis"
-    clamp: float | None = None
-    hide_emitters: bool = False
-
-    def __post_init__(self):
-        if not is_count(self.bounces, least=0):
-            raise ValueError(f"bounces must be an integer >= 0, got {self.bounces!r}; 0 is emission seen directly")
-        for name, known in (("directions", ("cosine", "uniform")), ("lights", ("mis", "nee", "none"))):
-            if not isinstance(getattr(self, name), str) or getattr(self, name) not in known:
-                raise ValueError(f"{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
-        if self.clamp is not None:
-            if not (is_number(self.clamp) and 0.0 < self.clamp < np.inf):
-                raise ValueError(f"clamp must be a positive luminance or None, got {self.clamp!r}")
-            object.__setattr__(self, "clamp", float(self.clamp))
-
-    def without_bounces(self) -> "Strategy":
-        """Return the strategy of paths that see emission directly only."""
-        return dataclasses.replace(self, bounces=0)
-
-    def coordinates(self, scene: Scene) -> tuple[str, ...]:
-        """Return what the coordinates of one scattering event decide."""
-        if self.lights == "none" or not scene.lights:
-            return (POLAR, AZIMUTH)
-        pick = ("which light",) if len(scene.lights) > 1 else ()
-        return ("light: first", "light: second", *pick, POLAR, AZIMUTH)
+from .sky import sample_sky, sky_inverse_pdf, sky_radiance
+from .strategy import POLAR, THROUGHPUT, Strategy
+from .vec import Vec3, dot, larger, smaller, where
 
 
 class PathState(NamedTuple):
     """A path after some scattering events: its last ray and what it met, throughput and radiance collected.
 
-    ``scattered`` says that a diffuse surface has been met; None where nobody asks.
+    ``scattered`` says that a surface has been met that is neither mirror nor glass; None where nobody asks.
     """
 
     ray: Ray
@@ -73,106 +37,147 @@ class PathState(NamedTuple):
     scattered: Any
 
 
-def emission_toward(scene: Scene, ray: Ray, hit: Hit, pdf):
-    """Return the emission that a ray meets, each light weighted by the power heuristic against sampling that light.
-
-    ``pdf`` is the density of the ray's direction; None where lights are not sampled, and the weight is 1.
+class Vertex(NamedTuple):
+    """A scattering event: the surface, its material, the direction in which the path arrives, the first of the event's
+    coordinates, and whether the surface may be none of the scene's.
     """
-    total = black(scene)
-    distance = jnp.where(hit.primitive < 0, 1.0, hit.distance)
-    for i, (light, radiance) in zip(scene.lights, scene.emitters, strict=True):
-        inverse = _inverse_pdf(light, ray, distance)
-        shines = (hit.primitive == i) & (inverse > 0.0)
-        if pdf is not None:
-            # The density of the ray, against that of picking this light and the point the ray has met.
-            weight = weight_of_hit(pdf, inverse * len(scene.lights))
-            total = total + where(shines, radiance * weight, black(scene))
-        else:
-            total = total + where(shines, radiance, black(scene))
+
+    surface: Surface
+    kinds: bsdfs.Kinds
+    arriving: Vec3
+    first: Any
+    anywhere: bool
+
+
+def _light_from(scene, strategy, vertex: Vertex, toward, visible):
+    """Return what one sampled direction with light brings, reflectance left out: radiance times BRDF over density.
+
+    ``toward`` is (wi, inverse_pdf, radiance); ``visible`` a function of the ray and whether it can matter.
+    """
+    surface, (wi, inverse_pdf, radiance) = vertex.surface, toward
+    cosine = dot(surface.normal, wi)
+    matters = (cosine > 0.0) & (inverse_pdf > 0.0) & (surface.face >= 0)
+    value, pdf = evaluate_bsdf(scene, strategy.directions, surface, vertex.kinds, vertex.arriving, wi, cosine)
+    weight = value * inverse_pdf * (1.0 / jnp.pi)
+    if strategy.lights == "mis":
+        weight = weight * power_heuristic(inverse_pdf, pdf)
+    return where(matters & visible(ray(surface.point, wi)), radiance * weight, black(scene))
+
+
+def _direct_light(scene, strategy, vertex: Vertex, u):
+    """Return radiance times BRDF over density of sampled lights and of the sampled sky, reflectance left out."""
+    surface, first = vertex.surface, vertex.first
+    words, total = strategy.coordinates(scene), None
+    if scene.lights:
+        which = u[first + words.index("which light")] if len(scene.lights) > 1 else None
+        light, radiance, target = sample_light(
+            scene, strategy.pick, surface.point, surface.normal, surface.face, u[first], u[first + 1], which
+        )
+
+        def reaches(toward):
+            return unoccluded(scene, toward, light.distance, surface.face, target, vertex.anywhere)
+
+        total = _light_from(scene, strategy, vertex, (light.wi, light.inverse_pdf, radiance), reaches)
+    if strategy.samples_sky(scene):
+        k = first + words.index("sky: first")
+        found = sample_sky(scene.sky, surface.normal, u[k], u[k + 1])
+
+        def is_free(toward):
+            return unoccluded(scene, toward, jnp.inf, surface.face, -2, anywhere=True)
+
+        sky = _light_from(scene, strategy, vertex, found, is_free)
+        total = sky if total is None else total + sky
     return total
 
 
-def _inverse_pdf(light, ray, distance):
-    inverse = shapes.inverse_pdf_quad_light if isinstance(light, QuadLight) else shapes.inverse_pdf_sphere_light
-    return inverse(light, ray.origin, ray.direction, distance)
-
-
-def sample_light(scene: Scene, point, own, u1, u2, pick) -> tuple[LightSample, Any, Any]:
-    """Return a sample of one light from a point on primitive ``own``, its radiance, and its primitive; ``pick`` is the
-    coordinate that picks the light.
-    """
-    count = len(scene.lights)
-    chosen = 0 if count == 1 else jnp.minimum((pick * count).astype(jnp.int32), count - 1)
-    result = None
-    for k, (i, (light, radiance)) in enumerate(zip(scene.lights, scene.emitters, strict=True)):
-        sample = shapes.sample_quad_light if isinstance(light, QuadLight) else shapes.sample_sphere_light
-        one = (sample(light, point, is_same(scene, own, i), u1, u2), radiance, i)
-        result = one if result is None else jax.tree.map(lambda a, b, k=k: jnp.where(chosen == k, a, b), one, result)
-    drawn, radiance, primitive = result
-    return drawn._replace(inverse_pdf=drawn.inverse_pdf * count), radiance, primitive
-
-
-def black(scene):
-    return jnp.zeros(()) if scene.channels == 1 else Vec3(*[jnp.zeros(())] * 3)
-
-
-def _direct_light(scene, strategy, surface, u, first, anywhere):
-    """Return radiance times BRDF over density of one sampled light, albedo left out."""
-    pick = u[first + 2] if len(scene.lights) > 1 else None
-    light, radiance, target = sample_light(scene, surface.point, surface.primitive, u[first], u[first + 1], pick)
-    cosine = dot(surface.normal, light.wi)
-    toward = shapes.ray(surface.point, light.wi)
-    visible = (cosine > 0.0) & (light.inverse_pdf > 0.0) & (surface.primitive >= 0)
-    visible = visible & unoccluded(scene, toward, light.distance, surface.primitive, target, anywhere)
-    weight = cosine * light.inverse_pdf * (1.0 / np.pi)
-    if strategy.lights == "mis":
-        weight = weight * power_heuristic(light.inverse_pdf, pdf_diffuse(strategy.directions, cosine))
-    return where(visible, radiance * weight, black(scene))
-
-
-def scatter(scene, strategy, u, first, surface: Surface, path: PathState, anywhere=False) -> PathState:
+def scatter(scene, strategy, u, first, surface: Surface, path: PathState, anywhere=False, event=0) -> PathState:
     """Scatter a path at a surface: sample a light, then a direction, and follow it. A path that ended stays so.
 
-    ``anywhere``: the surface need not be one of the scene's.
+    ``anywhere``: the surface need not be one of the scene's. ``event`` counts the scattering events before this one.
     """
-    alive = surface.primitive >= 0
+    alive = surface.face >= 0
     beta = path.beta * surface.reflectance
-    sampled = strategy.lights != "none" and bool(scene.lights)
-    mirror = jnp.zeros((), bool)
-    for i in scene.mirrors:
-        mirror = mirror | (surface.primitive == i)
-    radiance = path.radiance
-    if sampled:
-        direct = _direct_light(scene, strategy, surface, u, first, anywhere)
-        direct = where(mirror, black(scene), direct) if scene.mirrors else direct
+    vertex = Vertex(surface, kinds_of(scene, surface), path.ray.direction, first, anywhere)
+    specular, radiance = vertex.kinds.specular, path.radiance
+    if strategy.lights != "none" and (scene.lights or strategy.samples_sky(scene)):
+        direct = _direct_light(scene, strategy, vertex, u)
+        direct = direct if specular is None else where(specular, black(scene), direct)
         radiance = radiance + beta * direct
     toward = first + strategy.coordinates(scene).index(POLAR)
-    wi, pdf, weight = sample_diffuse(strategy.directions, surface.normal, u[toward], u[toward + 1])
-    if scene.mirrors:
-        wi = where(mirror, reflect(path.ray.direction, surface.normal), wi)
-        weight = jnp.where(mirror, 1.0, weight)
-    if not isinstance(weight, float):
-        beta = beta * weight
-    ray = shapes.ray(surface.point, wi)
-    hit = closest_hit(scene, ray, surface.primitive)
+    wi, pdf, weight = sample_bsdf(
+        scene, strategy.directions, surface, vertex.kinds, vertex.arriving, u[toward], u[toward + 1]
+    )
+    beta = beta if isinstance(weight, float) else beta * weight
+    if strategy.roulette:
+        survives, inverse = _roulette(strategy.roulette, beta, vertex.kinds, event, u[toward + 2])
+        alive, beta = alive & survives, beta * inverse
+    onward = ray(surface.point, wi)
+    hit = closest_hit(scene, onward, surface.face)
     if scene.sky is not None:
-        radiance = radiance + where(alive & (hit.primitive < 0), beta * sky_radiance(scene.sky, wi), black(scene))
-    hit = hit._replace(primitive=jnp.where(alive, hit.primitive, -1))
-    scattered = None if path.scattered is None else path.scattered | ~mirror
-    if scene.lights and not (strategy.lights == "nee" and not scene.mirrors):
-        met = _emission_by_strategy(scene, strategy, ray, hit, pdf, mirror)
+        radiance = radiance + where(
+            alive & (hit.face < 0), beta * _sky_met(scene, strategy, wi, pdf, surface.normal, specular), black(scene)
+        )
+    hit = hit._replace(face=jnp.where(alive, hit.face, -1))
+    scattered = path.scattered
+    if scattered is not None and specular is not None:
+        scattered = scattered | ~specular
+    elif scattered is not None:
+        scattered = jnp.ones((), bool)
+    if scene.lights and not (strategy.lights == "nee" and specular is None):
+        met = _emission_met(scene, strategy, onward, hit, pdf, surface, specular)
         if scattered is not None:
             met = where(scattered, met, black(scene))
         radiance = radiance + beta * met
-    return PathState(ray, hit, beta, radiance, scattered)
+    return PathState(onward, hit, beta, radiance, scattered)
 
 
-def _emission_by_strategy(scene, strategy, ray, hit, pdf, mirror):
+def _roulette(roulette, beta, kinds, event, u):
+    """Return whether a path survives, and what that makes it worth."""
+    if roulette.survival == THROUGHPUT:
+        brightest = larger(larger(beta.x, beta.y), beta.z) if isinstance(beta, Vec3) else beta
+        survival = smaller(brightest, 1.0)
+    else:
+        survival = roulette.survival
+    exempt = event < roulette.after
+    if kinds.dielectric is not None:
+        exempt = exempt | kinds.dielectric
+    survival = jnp.where(exempt, 1.0, survival)
+    # A path of throughput 0 may end: it is worth nothing.
+    return u < survival, jnp.where(survival > 0.0, 1.0 / jnp.where(survival > 0.0, survival, 1.0), 0.0)
+
+
+def _sky_met(scene, strategy, wi, pdf, normal, specular):
+    """Return the radiance of the sky that a direction has met, weighted against sampling the sky."""
+    radiance = sky_radiance(scene.sky, wi)
+    if not strategy.samples_sky(scene):
+        return radiance
+    if strategy.lights == "mis":
+        weight = weight_of_hit(pdf, sky_inverse_pdf(scene.sky, normal, wi))
+    else:
+        weight = jnp.zeros(())
+    return radiance * (weight if specular is None else jnp.where(specular, 1.0, weight))
+
+
+def _emission_met(scene, strategy, onward, hit, pdf, surface, specular):
     """Return emission met after scattering: in full, weighted, or only after a mirror, which no light sample serves."""
     if strategy.lights == "none":
-        return emission_toward(scene, ray, hit, None)
-    weighted = emission_toward(scene, ray, hit, pdf) if strategy.lights == "mis" else black(scene)
-    return where(mirror, emission_toward(scene, ray, hit, None), weighted) if scene.mirrors else weighted
+        return emission_toward(scene, onward, hit)
+    weighted = black(scene)
+    if strategy.lights == "mis":
+        count = len(scene.lights)
+        probability = None
+        if count > 1 and strategy.pick != "uniform":
+            probability = probability_of(scene, strategy.pick, surface.point, surface.normal)
+
+        def weigh(inverse, k):
+            # The density of the ray, against that of picking this light and the point the ray has met.
+            if probability is None:
+                return weight_of_hit(pdf, inverse * count)
+            p = probability(k)
+            return weight_of_hit(pdf, jnp.where(p > 0.0, inverse / jnp.where(p > 0.0, p, 1.0), jnp.inf))
+
+        weighted = emission_toward(scene, onward, hit, weigh)
+    return weighted if specular is None else where(specular, emission_toward(scene, onward, hit), weighted)
 
 
 def trace(scene: Scene, strategy: Strategy, u, first: int, start: Ray, observe=None):
@@ -181,14 +186,17 @@ def trace(scene: Scene, strategy: Strategy, u, first: int, start: Ray, observe=N
     Coordinates from ``first`` on feed the scattering events.
     """
     hit = closest_hit(scene, start) if strategy.bounces else apart(scene, partial(closest_hit, scene), start)
+    return follow(scene, strategy, u, first, begin(scene, strategy, start, hit), strategy.bounces, observe)
+
+
+def begin(scene, strategy, start: Ray, hit: Hit) -> PathState:
+    """Return a path before its first scattering event: the radiance that its first ray meets."""
     one = jnp.ones(()) if scene.channels == 1 else Vec3(*[jnp.ones(())] * 3)
-    seen = scene.lights and not strategy.hide_emitters
-    radiance = emission_toward(scene, start, hit, None) if seen else black(scene)
+    radiance = emission_toward(scene, start, hit) if scene.lights and not strategy.hide_emitters else black(scene)
     if scene.sky is not None:
-        radiance = radiance + where(hit.primitive < 0, sky_radiance(scene.sky, start.direction), black(scene))
-    scattered = jnp.zeros((), bool) if scene.mirrors and strategy.hide_emitters else None
-    state = PathState(start, hit, one, radiance, scattered)
-    return follow(scene, strategy, u, first, state, strategy.bounces, observe)
+        radiance = radiance + where(hit.face < 0, sky_radiance(scene.sky, start.direction), black(scene))
+    is_asked = (scene.mirrors or scene.dielectrics) and strategy.hide_emitters
+    return PathState(start, hit, one, radiance, jnp.zeros((), bool) if is_asked else None)
 
 
 def follow(scene, strategy, u, first, state: PathState, bounces, observe=None):
@@ -198,7 +206,7 @@ def follow(scene, strategy, u, first, state: PathState, bounces, observe=None):
 
     def event(state, k):
         surface = surface_at(scene, state.ray, state.hit)
-        after = scatter(scene, strategy, u, first + stride * k, surface, state)
+        after = scatter(scene, strategy, u, first + stride * k, surface, state, event=k)
         return after, (observe(surface, after) if observe else None)
 
     if bounces == 0:

@@ -1,4 +1,6 @@
-"""What a user builds scenes from: spheres and parallelograms with a material and, for lights, an emission."""
+"""What a user builds scenes from: spheres, parallelograms, triangles and boxes with a material and, for lights, an
+emission.
+"""
 
 import dataclasses
 from typing import Any
@@ -6,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from .materials import Diffuse, Mirror
+from .materials import Diffuse, Material, colors_of
 from .vec import Vec3
 
 GREY = Diffuse()
@@ -19,9 +21,10 @@ class Sphere:
     Attributes:
         center: three coordinates.
         radius: positive.
-        material: ``Diffuse`` or ``Mirror``.
-        emission: radiance that leaves on the side of the normal, none on the back: a number, an RGB triple or None.
+        material: ``Diffuse``, ``Mirror``, ``RoughConductor`` or ``Dielectric``.
+        emission: radiance that leaves on the side of the normal: a number, an RGB triple or None.
         inward: the normal points to the centre, so a light shines inward.
+        two_sided: it shines to both sides.
 
     Raises:
         ValueError: a value of the wrong shape or range, or one that is not finite.
@@ -32,6 +35,7 @@ class Sphere:
     material: Any = GREY
     emission: Any = None
     inward: bool = False
+    two_sided: bool = False
 
     def __post_init__(self):
         _check_vector("Sphere center", self.center)
@@ -47,8 +51,9 @@ class Quad:
         corner: three coordinates.
         edge_u: from the corner to its neighbour.
         edge_v: from the corner to its other neighbour. The normal is along ``cross(edge_u, edge_v)``.
-        material: ``Diffuse`` or ``Mirror``.
-        emission: radiance that leaves on the side of the normal, none on the back: a number, an RGB triple or None.
+        material: ``Diffuse``, ``Mirror``, ``RoughConductor`` or ``Dielectric``.
+        emission: radiance that leaves on the side of the normal: a number, an RGB triple or None.
+        two_sided: it shines to both sides.
 
     Raises:
         ValueError: a value of the wrong shape or range, one that is not finite, or a parallelogram without area.
@@ -59,18 +64,89 @@ class Quad:
     edge_v: Any
     material: Any = GREY
     emission: Any = None
+    two_sided: bool = False
 
     def __post_init__(self):
         for name in ("corner", "edge_u", "edge_v"):
             _check_vector(f"Quad {name}", getattr(self, name))
         _check_surface("Quad", self.material, self.emission)
-        if is_concrete((self.edge_u, self.edge_v)):
-            u, v = (np.asarray(e, np.float64) for e in (self.edge_u, self.edge_v))
-            if not np.linalg.norm(np.cross(u, v)) > 1e-9 * np.linalg.norm(u) * np.linalg.norm(v):
+        _check_area("Quad", "edge_u", self.edge_u, "edge_v", self.edge_v)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Triangle:
+    """A triangle.
+
+    Attributes:
+        a, b, c: the corners, three coordinates each. The normal is along ``cross(b - a, c - a)``.
+        material: ``Diffuse``, ``Mirror``, ``RoughConductor`` or ``Dielectric``.
+        emission: radiance that leaves on the side of the normal: a number, an RGB triple or None.
+        two_sided: it shines to both sides.
+
+    Raises:
+        ValueError: a value of the wrong shape or range, one that is not finite, or a triangle without area.
+    """
+
+    a: Any
+    b: Any
+    c: Any
+    material: Any = GREY
+    emission: Any = None
+    two_sided: bool = False
+
+    def __post_init__(self):
+        for name in ("a", "b", "c"):
+            _check_vector(f"Triangle {name}", getattr(self, name))
+        _check_surface("Triangle", self.material, self.emission)
+        if is_concrete((self.a, self.b, self.c)):
+            a, b, c = (np.asarray(v, np.float64) for v in (self.a, self.b, self.c))
+            _check_area("Triangle", "b - a", b - a, "c - a", c - a)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Box:
+    """A box of any orientation.
+
+    Attributes:
+        center: three coordinates.
+        size: its three edge lengths, positive.
+        axes: the directions of these edges, the rows of a rotation, shape (3, 3); by default x, y and z.
+        material: ``Diffuse``, ``Mirror``, ``RoughConductor`` or ``Dielectric``.
+        emission: radiance that leaves on the side of the normal: a number, an RGB triple or None.
+        inward: normals point inside, so a light shines inward; by default they point outside.
+        two_sided: it shines to both sides.
+
+    Raises:
+        ValueError: a value of the wrong shape or range, one that is not finite, or axes that are not at right angles
+            and of unit length to 1e-6.
+    """
+
+    center: Any
+    size: Any
+    axes: Any = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    material: Any = GREY
+    emission: Any = None
+    inward: bool = False
+    two_sided: bool = False
+
+    def __post_init__(self):
+        _check_vector("Box center", self.center)
+        _check_vector("Box size", self.size)
+        if is_concrete(self.size) and not np.all(np.asarray(self.size) > 0.0):
+            raise ValueError(f"Box size must be three positive edge lengths, got {self.size!r}")
+        if shape_of(self.axes) != (3, 3):
+            raise ValueError(f"Box axes must be three directions, shape (3, 3), got {self.axes!r}")
+        if is_concrete(self.axes):
+            axes = _numbers("Box axes", self.axes)
+            if not np.allclose(axes @ axes.T, np.eye(3), rtol=0.0, atol=1e-6):
                 raise ValueError(
-                    f"Quad has no area: edge_u={u.tolist()} and edge_v={v.tolist()} are parallel or zero; "
-                    "give two edges that span a parallelogram"
+                    f"Box axes must have unit length and stand at right angles, got {self.axes!r}; "
+                    "the rows of a rotation matrix do"
                 )
+        _check_surface("Box", self.material, self.emission)
+
+
+Primitive = Sphere | Quad | Triangle | Box
 
 
 def is_concrete(tree) -> bool:
@@ -120,19 +196,31 @@ def as_color(name: str, value, signed: bool = False) -> tuple:
 
 
 def _check_surface(name, material, emission):
-    if not isinstance(material, Diffuse | Mirror):
-        raise ValueError(f"{name} material must be mc.Diffuse(albedo) or mc.Mirror(reflectance), got {material!r}")
-    word, value = reflectance_of(material)
-    color = as_color(f"{name} {word}", value)
-    if is_concrete(value) and max(color) > 1.0:
-        raise ValueError(f"{name} {word} must lie in [0, 1], got {value!r}: more light would leave than arrives")
+    if not isinstance(material, Material):
+        kinds = "mc.Diffuse(albedo), mc.Mirror(reflectance), mc.RoughConductor(...) or mc.Dielectric(ior)"
+        raise ValueError(f"{name} material must be {kinds}, got {material!r}")
+    for word, value in colors_of(material).items():
+        color = as_color(f"{name} {word}", value)
+        if is_concrete(value) and max(color) > 1.0:
+            raise ValueError(f"{name} {word} must lie in [0, 1], got {value!r}: more light would leave than arrives")
+    for word, least, most in material.ranges:
+        value = getattr(material, word)
+        _check_number(f"{name} {word}", value, above=least)
+        if is_concrete(value) and value > most:
+            raise ValueError(f"{name} {word} must be at most {most:g}, got {value!r}")
     if emission is not None:
         as_color(f"{name} emission", emission)
 
 
-def reflectance_of(material):
-    """Return the name and the value of the fraction of light that a material reflects."""
-    return ("albedo", material.albedo) if isinstance(material, Diffuse) else ("reflectance", material.reflectance)
+def _check_area(name, first, u, second, v):
+    if not is_concrete((u, v)):
+        return
+    u, v = (np.asarray(e, np.float64) for e in (u, v))
+    if not np.linalg.norm(np.cross(u, v)) > 1e-9 * np.linalg.norm(u) * np.linalg.norm(v):
+        raise ValueError(
+            f"{name} has no area: {first}={u.tolist()} and {second}={v.tolist()} are parallel or zero; "
+            "give edges that span an area"
+        )
 
 
 def _check_vector(name, value):

@@ -4,10 +4,15 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
+from .materials import luminance
 from .primitives import as_color, as_unit, is_concrete, shape_of
-from .vec import Vec3, where
+from .vec import Vec3, dot, frame, larger, where
+from .warps import sample_uniform_hemisphere, sincos_2pi
+
+ROUNDS = 10  # of Newton's method
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -90,10 +95,84 @@ def sky_radiance(sky, direction: Vec3):
     if not isinstance(sky, ZenithPolynomial):
         return sky
     z = sum(a * b for a, b in zip(sky.up, direction) if a is not None)
-    value = sky.coefficients[-1]
-    for coefficient in sky.coefficients[-2::-1]:
-        value = value * z + coefficient
+    value = _polynomial(sky.coefficients, z)
     return value if sky.ground is None else where(z > 0.0, value, sky.ground)
+
+
+# ------------------------------------------------------------------------------------------------ as a light
+
+
+def sample_sky(sky, normal: Vec3, u1, u2):
+    """Return (wi, 1 / density per solid angle, radiance) of a direction toward a sky.
+
+    A constant sky is drawn uniformly over the hemisphere of ``normal``; a gradient over the whole sphere in proportion
+    to its luminance, by an inversion of the polynomial that luminance has integrated over z.
+    """
+    sine, cosine = sincos_2pi(u2)
+    if not isinstance(sky, ZenithPolynomial):
+        local = sample_uniform_hemisphere(u1, u2)
+        tangent, bitangent = frame(normal)
+        return tangent * local.x + bitangent * local.y + normal * local.z, 2.0 * np.pi, sky
+    z = _sample_z(sky, u1)
+    radius = jnp.sqrt(larger((1.0 - z) * (1.0 + z), 0.0))
+    up = Vec3(*(jnp.zeros(()) if c is None else jnp.asarray(c) for c in sky.up))
+    tangent, bitangent = frame(up)
+    wi = tangent * (radius * cosine) + bitangent * (radius * sine) + up * z
+    return wi, sky_inverse_pdf(sky, normal, wi), sky_radiance(sky, wi)
+
+
+def sky_inverse_pdf(sky, normal: Vec3, wi: Vec3):
+    """Return 1 / density per solid angle with which ``sample_sky`` draws a direction, 0 where it never does."""
+    if not isinstance(sky, ZenithPolynomial):
+        return jnp.where(dot(normal, wi) > 0.0, 2.0 * np.pi, 0.0)
+    below, above = _masses(sky)
+    y = luminance(sky_radiance(sky, wi))
+    return jnp.where(y > 0.0, 2.0 * np.pi * (below + above) / jnp.where(y > 0.0, y, 1.0), 0.0)
+
+
+def _luminances(sky):
+    return [luminance(c) for c in sky.coefficients]
+
+
+def _integral(coefficients, z):
+    """Return the integral from 0 to z of a polynomial."""
+    value = 0.0
+    for k in range(len(coefficients) - 1, -1, -1):
+        value = (value + coefficients[k] / (k + 1)) * z
+    return value
+
+
+def _masses(sky):
+    """Return the integrals of luminance over z below and above the horizon."""
+    y = _luminances(sky)
+    below = -_integral(y, -1.0) if sky.ground is None else luminance(sky.ground)
+    return below, _integral(y, 1.0)
+
+
+def _sample_z(sky, u):
+    """Return z with a density in proportion to luminance."""
+    y, (below, above) = _luminances(sky), _masses(sky)
+    # The integral from 0 to z must be so much; below the horizon it is negative.
+    aim = u * (below + above) - below
+    low, high = jnp.where(aim < 0.0, -1.0, 0.0), jnp.where(aim < 0.0, 0.0, 1.0)
+    z = 0.5 * (low + high)
+    for _ in range(ROUNDS):
+        # Newton's method, or bisection where that leaves the bracket.
+        excess, slope = _integral(y, z) - aim, _polynomial(y, z)
+        low, high = jnp.where(excess < 0.0, z, low), jnp.where(excess < 0.0, high, z)
+        step = z - excess / jnp.where(slope > 0.0, slope, 1.0)
+        z = jnp.where((slope > 0.0) & (step > low) & (step < high), step, 0.5 * (low + high))
+    if sky.ground is None:
+        return z
+    ground = luminance(sky.ground)
+    return jnp.where(aim < 0.0, larger(aim / jnp.where(ground > 0.0, ground, 1.0), -1.0), z)
+
+
+def _polynomial(coefficients, z):
+    value = coefficients[-1]
+    for c in coefficients[-2::-1]:
+        value = value * z + c
+    return value
 
 
 def _is_black(color):
