@@ -63,9 +63,14 @@ def separable_directional_albedo(alpha, cosine):
 
 def average_albedo(alpha):
     """Share of the light of a uniform sky that is reflected once: the mean of the directional albedo over 2 z dz."""
+    return average_moment(alpha)
+
+
+def average_moment(alpha, power=1):
+    """Mean of ``sampled_moment`` over 2 z dz."""
     z, _, weights = _double_exponential(0.1)
-    albedos = jax.lax.map(lambda cosine: directional_albedo(alpha, cosine), jnp.asarray(z, float))
-    return jnp.sum(weights * 2.0 * z * albedos)
+    moments = jax.lax.map(lambda cosine: sampled_moment(alpha, cosine, power), jnp.asarray(z, float))
+    return jnp.sum(weights * 2.0 * z * moments)
 
 
 def _stretched(cosine, alpha):

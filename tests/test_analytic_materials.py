@@ -12,7 +12,7 @@ import pytest
 from scipy import integrate
 
 import jaxmc as mc
-from analytic_scenes import fresnel_values, ggx_values
+from analytic_scenes import fresnel_values, ggx_values, glass, rough_metal
 from analytic_scenes.scene import value_and_derivatives, value_of, variance_and_kurtosis
 from jaxmc.testing import assert_unbiased
 from jaxmc.transport import fresnel, microfacets
@@ -245,3 +245,53 @@ def test_a_walk_without_polarisation_does_not_find_the_plate_of_nature():
     walk, dim = WALKS["D05"]
     with pytest.raises(AssertionError, match="standard errors off"):
         assert_unbiased(mc.integrate(walk, dim=dim, n=1 << 17), float(FIGURES["D05p"]["value"]), rel_precision=0.01)
+
+
+# ---------------------------------------------------------------------------------- whole scenes
+
+SCENES = [*rough_metal.default_scenes(), *glass.default_scenes()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.slug)
+def test_derivatives_of_scenes_against_differences(scene):
+    for name, gradient in scene.derivatives.items():
+        value = float(scene.arguments[name])
+        high, low = (value_of(scene.formula, {**scene.arguments, name: value + step}) for step in (1e-5, -1e-5))
+        assert gradient == pytest.approx((high - low) / 2e-5, rel=1e-6, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("make", "figure", "scale"),
+    [
+        (lambda: rough_metal.rough_floor(), "G03a", 1.6),
+        (lambda: glass.glass_ball(bounces=4), "F04", 2.0),
+        (lambda: glass.glass_plate(bounces=41), "D05", 2.0),
+        (lambda: glass.coated_floor(bounces=81), "D08d", 2.0),
+        (lambda: glass.under_water(), "D10", 1.0),
+    ],
+)
+def test_scenes_are_those_of_the_figures(make, figure, scale):
+    close(make().exact, scale * float(FIGURES[figure]["value"]))
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: rough_metal.rough_floor(cosine=0.0),
+        lambda: glass.glass_ball(offset=1.0),
+        lambda: glass.glass_plate(theta=-0.1),
+        lambda: glass.coated_floor(bounces=0),
+    ],
+)
+def test_impossible_scenes_are_refused(make):
+    with pytest.raises(ValueError, match="got"):
+        make()
+
+
+def test_a_ball_of_another_index_is_found_out():
+    right, wrong = glass.glass_ball(), glass.glass_ball(ior=1.6)
+    estimate = mc.integrate(wrong.integrand, n=1 << 16)
+    assert_unbiased(estimate, wrong.exact, rel_precision=1e-3)
+    with pytest.raises(AssertionError, match="standard errors off"):
+        assert_unbiased(estimate, right.exact, rel_precision=1e-3)
