@@ -22,7 +22,7 @@ BELOW = {"bounces": 1, "directions": "bsdf", "lights": "none"}
 
 @functools.cache
 def default_scenes() -> tuple[AnalyticScene, ...]:
-    """Return the default configurations, of relative variance below 6."""
+    """Return the default configurations, of relative variance below 2."""
     return (glass_ball(), glass_plate(), coated_floor(), under_water())
 
 
@@ -63,7 +63,7 @@ def glass_plate_radiance(ior, theta, sky, bounces):
     return sky * one * (1.0 + (1.0 - one) * (1.0 - one ** (2 * turns)) / (1.0 + one))
 
 
-def glass_plate(ior: float = 1.5, theta: float = math.pi / 3, sky: float = 2.0, bounces: int = 9) -> AnalyticScene:
+def glass_plate(ior: float = 1.5, theta: float = 1.3, sky: float = 2.0, bounces: int = 9) -> AnalyticScene:
     """Return the radiance of a plate of glass over black ground under a sky, ``theta`` [rad] from its normal.
 
     It approaches ``fresnel_values.slab_reflectance``. Raises ``ValueError`` for ``theta`` outside [0, pi / 2) and
