@@ -12,8 +12,11 @@ from analytic_scenes import (
     chains,
     enclosures,
     exchange,
+    fresnel_values,
     furnace,
     genz,
+    ggx_values,
+    glass,
     integrands,
     integrating_sphere,
     lights,
@@ -23,6 +26,7 @@ from analytic_scenes import (
     mirrors,
     occlusion,
     receivers,
+    rough_metal,
     roulette,
     sensors,
     shadows,
@@ -45,6 +49,7 @@ from analytic_scenes.exchange import (
     two_spheres,
 )
 from analytic_scenes.furnace import cube_furnace, furnace_moments, furnace_radiance, furnace_variance, sphere_furnace
+from analytic_scenes.glass import coated_floor, glass_ball, glass_plate, under_water
 from analytic_scenes.integrating_sphere import lamp_in_sphere, lit_cap, smooth_wall
 from analytic_scenes.irradiance import (
     corner_rectangle_irradiance,
@@ -80,6 +85,7 @@ from analytic_scenes.occlusion import (
     open_under_rectangle,
     open_under_two_spheres,
 )
+from analytic_scenes.rough_metal import rough_floor, rough_floor_from_above
 from analytic_scenes.roulette import absorption_furnace, critical_roulette_albedo, path_length, roulette_furnace
 from analytic_scenes.scene import AnalyticScene, value_and_derivatives
 from analytic_scenes.shadows import (
@@ -101,7 +107,7 @@ from analytic_scenes.throughput import (
 
 FAMILIES = (
     furnace, enclosures, integrating_sphere, exchange, lights, lit_surfaces, occlusion, skies, shadows, mirrors,
-    mirror_rooms, mirror_balls, throughput, roulette,
+    mirror_rooms, mirror_balls, rough_metal, glass, throughput, roulette,
 )  # fmt: skip
 
 
@@ -133,6 +139,7 @@ __all__ = [
     "ceiling_lamp",
     "chains",
     "check",
+    "coated_floor",
     "coaxial_disks",
     "concentric_spheres",
     "corner_rectangle_irradiance",
@@ -145,11 +152,16 @@ __all__ = [
     "exchange",
     "facing_rectangles",
     "find",
+    "fresnel_values",
     "furnace",
     "furnace_moments",
     "furnace_radiance",
     "furnace_variance",
     "genz",
+    "ggx_values",
+    "glass",
+    "glass_ball",
+    "glass_plate",
     "inner_sphere",
     "integrands",
     "integrating_sphere",
@@ -191,6 +203,9 @@ __all__ = [
     "rectangle_light_in_mirror",
     "rectangle_light_in_small_mirror",
     "rectangle_solid_angle",
+    "rough_floor",
+    "rough_floor_from_above",
+    "rough_metal",
     "roulette",
     "roulette_furnace",
     "sensors",
@@ -223,6 +238,7 @@ __all__ = [
     "throughput_walk",
     "tilted_under_sky",
     "two_spheres",
+    "under_water",
     "value_and_derivatives",
     "view_factors",
 ]

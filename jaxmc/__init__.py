@@ -35,6 +35,7 @@ from .integration.tallies import Histogram as Histogram
 from .integration.tallies import TailHistogram as TailHistogram
 from .integration.tallies import TopSamples as TopSamples
 from .integration.techniques import Technique as Technique
+from .transport.areas import irradiance_by_areas as irradiance_by_areas
 from .transport.camera import PinholeCamera as PinholeCamera
 from .transport.debug import replay as replay
 from .transport.integrands import intersect as intersect
@@ -49,6 +50,7 @@ from .transport.materials import Diffuse as Diffuse
 from .transport.materials import Mirror as Mirror
 from .transport.materials import RoughConductor as RoughConductor
 from .transport.materials import luminance as luminance
+from .transport.occlusion import ambient_occlusion as ambient_occlusion
 from .transport.paths import clamp_luminance as clamp_luminance
 from .transport.primitives import Box as Box
 from .transport.primitives import Quad as Quad

@@ -116,6 +116,18 @@ class MomentsResult(NamedTuple):
         with np.errstate(all="ignore"):
             return np.where(self.n > 1, self.central[0] * (self.n / (self.n - 1)), np.nan)
 
+    @property
+    def skewness(self):
+        """Skewness of the samples; NaN where nothing varies. Needs the moments of order 3."""
+        with np.errstate(all="ignore"):
+            return self.central[1] / self.central[0] ** 1.5
+
+    @property
+    def kurtosis(self):
+        """Kurtosis of the samples, 3 for the normal law; NaN where nothing varies. Needs the moments of order 4."""
+        with np.errstate(all="ignore"):
+            return self.central[2] / self.central[0] ** 2
+
 
 @dataclasses.dataclass
 class _PowerSums:
@@ -225,7 +237,7 @@ def pool(replicates: MomentsResult) -> tuple[MomentsResult, MomentsResult]:
     mean = means.mean(0)
     powers = [np.zeros_like(means), *(c * replicates.n for c in replicates.central)]
     central = [x.sum(0) / replicates.n.sum(0) for x in _shift(replicates.n, powers, means - mean)[1:]]
-    between = [((means - mean) ** 2).mean(0)]
+    between = [((means - mean) ** k).mean(0) for k in (2, 3, 4)]
     return (
         MomentsResult(replicates.n.sum(0), mean, central, replicates.nonfinite),
         MomentsResult(np.full(mean.shape, float(count)), mean, between, 0),

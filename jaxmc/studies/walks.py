@@ -20,9 +20,9 @@ from ..integration.integrand import Integrand
 from ..transport import hits, rays
 from ..transport.bsdfs import reflect, sample_diffuse
 from ..transport.camera import Camera
-from ..transport.primitives import as_vec3
 from ..transport.flats import FlatShape
 from ..transport.lights import emission_toward
+from ..transport.primitives import as_vec3
 from ..transport.scene import Scene
 from ..transport.sky import sky_radiance
 from ..transport.vec import Vec3, dot, normalize, where

@@ -102,16 +102,20 @@ class FlatLight:
         return jnp.abs(cosine) if self.two_sided else larger(-cosine, 0.0)
 
 
+def coordinates(triangle: bool, u1, u2):
+    """Return the coordinates of a point of a flat face drawn uniformly by area."""
+    if not triangle:
+        return 2.0 * u1 - 1.0, 2.0 * u2 - 1.0
+    # The square root makes strips of equal area.
+    strip = root(u1)
+    return 2.0 * strip * (1.0 - u2) - 1.0, 2.0 * strip * u2 - 1.0
+
+
 def sample(light: FlatLight, point, own, u1, u2) -> LightSample:
     """Sample a point of a flat face uniformly by area, seen from ``point``; ``own``: that lies in its plane, from which
     it cannot be seen.
     """
-    if light.triangle:
-        # The square root makes strips of equal area.
-        strip = root(u1)
-        u, v = 2.0 * strip * (1.0 - u2) - 1.0, 2.0 * strip * u2 - 1.0
-    else:
-        u, v = 2.0 * u1 - 1.0, 2.0 * u2 - 1.0
+    u, v = coordinates(light.triangle, u1, u2)
     target = light.center + light.half_u * u + light.half_v * v
     to_light = target - point
     squared = dot(to_light, to_light)

@@ -62,7 +62,7 @@ def fresnel_conductor(cos_i, eta, k):
     sin2 = (1.0 - cos_i) * (1.0 + cos_i)
     cos2 = cos_i * cos_i
     # a + i b is the root of (eta + i k)^2 - sin^2; the form of a^2 depends on the sign of its real part.
-    real = (eta - k) * (eta + k) - sin2
+    real = _far_cosine(cos_i, eta) - k * k
     imaginary = 2.0 * eta * k
     size = root(real * real + imaginary * imaginary)
     positive = real > 0.0

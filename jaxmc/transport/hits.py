@@ -78,14 +78,15 @@ def face_at(scene: Scene, point):
 def unoccluded(scene: Scene, ray: Ray, length, own, target, anywhere=False):
     """Return whether nothing but the faces ``own`` and ``target`` cuts the first ``length`` of the ray.
 
-    ``anywhere`` says that the ray need not start on a face, so that facts about the scene's points do not help.
+    ``target`` is the face of a light, or None where the ray goes to the sky. ``anywhere`` says that the ray need not
+    start and end on faces, so that facts about the scene's points do not help.
     """
     free = True
     for first, shape in zip(scene.first, scene.shapes):
         faces = range(first, first + shapes.faces(shape))
         if not anywhere and not any(face in scene.casters for face in faces):
             continue
-        targets = {light for face in faces for light in scene.lights if light in (face, *scene.twins[face])}
+        targets = set() if target is None else _lights_on(scene, faces)
         if targets and targets == set(scene.lights):
             continue  # the target is always on it
         empty = first in scene.empty and not anywhere
@@ -97,9 +98,14 @@ def unoccluded(scene: Scene, ray: Ray, length, own, target, anywhere=False):
             blocked = blocked & ~is_target
         free = free & ~blocked
     for table in scene.tables:
-        planes = scene.plane_of(own), scene.plane_of(target)
-        free = free & ~shape_tables.blocks(table, ray, length, own, planes[0], target, planes[1], anywhere)
+        aim = -2 if target is None else target
+        planes = scene.plane_of(own), scene.plane_of(aim)
+        free = free & ~shape_tables.blocks(table, ray, length, own, planes[0], aim, planes[1], anywhere)
     return free
+
+
+def _lights_on(scene, faces):
+    return {light for face in faces for light in scene.lights if light in (face, *scene.twins[face])}
 
 
 def surface_at(scene: Scene, ray: Ray, hit: Hit) -> Surface:

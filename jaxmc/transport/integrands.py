@@ -48,7 +48,7 @@ def path_integrand(scene: Scene, camera: Camera, *, bounces, **options: Unpack[P
         ValueError: an option out of range, or a scene or camera that is none.
         TypeError: an unknown option.
     """
-    return _through_film(_Film, scene, camera, Strategy(bounces, **options))
+    return through_film(Film, scene, camera, Strategy(bounces, **options))
 
 
 def neumann_terms(scene: Scene, camera: Camera, *, bounces, **options: Unpack[PathOptions]) -> Integrand:
@@ -60,7 +60,7 @@ def neumann_terms(scene: Scene, camera: Camera, *, bounces, **options: Unpack[Pa
     strategy = Strategy(bounces, **options)
     if strategy.clamp is not None:
         raise ValueError("neumann_terms has no clamp: it would apply to the sum of the terms; leave it out")
-    return _through_film(_Terms, scene, camera, strategy)
+    return through_film(_Terms, scene, camera, strategy)
 
 
 def radiance(scene: Scene, origin, direction, *, bounces, **options: Unpack[PathOptions]) -> Integrand:
@@ -127,7 +127,7 @@ def path_throughput(scene: Scene, camera: Camera, *, events, directions="bsdf") 
         raise ValueError(f"events must be a list of positive integers, got {events!r}")
     numbers = tuple(map(int, numbers))
     strategy = Strategy(max(numbers), directions, "none")
-    return _through_film(partial(_Throughput, events=numbers), scene, camera, strategy)
+    return through_film(partial(_Throughput, events=numbers), scene, camera, strategy)
 
 
 class Intersection(NamedTuple):
@@ -165,7 +165,7 @@ def _intersect(scene, origins, directions):
 
 
 @dataclasses.dataclass(frozen=True)
-class _Film:
+class Film:
     """Radiance through a film position: of the whole image, or of one pixel where its number is given.
 
     ``far``: the camera may lie far from the scene, and its rays start nearer.
@@ -187,7 +187,7 @@ class _Film:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Throughput(_Film):
+class _Throughput(Film):
     """Throughput of the paths of a film, after some numbers of events."""
 
     events: tuple[int, ...]
@@ -200,7 +200,7 @@ class _Throughput(_Film):
         return jnp.asarray(throughput)[jnp.array(self.events) - 1]
 
 
-class _Terms(_Film):
+class _Terms(Film):
     """Radiance through a film position by path length."""
 
     def __call__(self, u, scene, camera, pixel=None):
@@ -244,11 +244,15 @@ class _Receiver:
         return finish(self.strategy, jax.tree.map(lambda x: x * np.pi, radiance))
 
 
-def _through_film(kind, scene, camera, strategy):
+def through_film(kind, scene, camera, strategy=None, labels=()) -> Integrand:
+    """Return ``kind(strategy, far)`` as an integrand over the film of a camera: ``far`` as in ``Film``.
+
+    Further coordinates have the ``labels``, or the strategy's where there is one.
+    """
     _check(scene, Scene, "scene", "mc.Scene([...])")
     _check(camera, Camera, "camera", "mc.PinholeCamera(...)")
     camera, far = _local(scene, camera)
-    return _integrand(kind(strategy, far), scene, (camera,), ("film: x", "film: y"))
+    return _integrand(kind(strategy, far), scene, (camera,), ("film: x", "film: y", *labels))
 
 
 def _local(scene, camera):

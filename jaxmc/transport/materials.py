@@ -55,6 +55,10 @@ class RoughConductor:
     k: Any = None
     ranges: Ranges = (("roughness", 0.0, 1.0),)
 
+    def __post_init__(self):
+        if (self.eta is None) != (self.k is None):
+            raise ValueError(f"a metal has both eta and k, or neither, got eta={self.eta!r} and k={self.k!r}")
+
 
 @dataclasses.dataclass(frozen=True)
 class Dielectric:

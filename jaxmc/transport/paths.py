@@ -83,7 +83,7 @@ def _direct_light(scene, strategy, vertex: Vertex, u):
         found = sample_sky(scene.sky, surface.normal, u[k], u[k + 1])
 
         def is_free(toward):
-            return unoccluded(scene, toward, jnp.inf, surface.face, -2, anywhere=True)
+            return unoccluded(scene, toward, jnp.inf, surface.face, None, anywhere=True)
 
         sky = _light_from(scene, strategy, vertex, found, is_free)
         total = sky if total is None else total + sky

@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from .derivatives import root
 from .materials import luminance
 from .primitives import as_color, as_unit, is_concrete, shape_of
-from .vec import Vec3, dot, frame, larger, where
+from .vec import Vec3, dot, frame, larger, smaller, where
 from .warps import sample_uniform_hemisphere, sincos_2pi
 
 ROUNDS = 10  # of Newton's method
@@ -114,7 +115,7 @@ def sample_sky(sky, normal: Vec3, u1, u2):
         tangent, bitangent = frame(normal)
         return tangent * local.x + bitangent * local.y + normal * local.z, 2.0 * np.pi, sky
     z = _sample_z(sky, u1)
-    radius = jnp.sqrt(larger((1.0 - z) * (1.0 + z), 0.0))
+    radius = root(larger((1.0 - z) * (1.0 + z), 0.0))
     up = Vec3(*(jnp.zeros(()) if c is None else jnp.asarray(c) for c in sky.up))
     tangent, bitangent = frame(up)
     wi = tangent * (radius * cosine) + bitangent * (radius * sine) + up * z
@@ -157,11 +158,11 @@ def _sample_z(sky, u):
     low, high = jnp.where(aim < 0.0, -1.0, 0.0), jnp.where(aim < 0.0, 0.0, 1.0)
     z = 0.5 * (low + high)
     for _ in range(ROUNDS):
-        # Newton's method, or bisection where that leaves the bracket.
+        # Newton's method within what is known to hold the root; the middle of that where luminance is 0.
         excess, slope = _integral(y, z) - aim, _polynomial(y, z)
         low, high = jnp.where(excess < 0.0, z, low), jnp.where(excess < 0.0, high, z)
-        step = z - excess / jnp.where(slope > 0.0, slope, 1.0)
-        z = jnp.where((slope > 0.0) & (step > low) & (step < high), step, 0.5 * (low + high))
+        step = smaller(larger(z - excess / jnp.where(slope > 0.0, slope, 1.0), low), high)
+        z = jnp.where(slope > 0.0, step, 0.5 * (low + high))
     if sky.ground is None:
         return z
     ground = luminance(sky.ground)
