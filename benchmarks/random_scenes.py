@@ -43,7 +43,7 @@ def random_scene(number) -> RandomScene:
     distance = rng.uniform(2.1, 2.3) if is_room else rng.uniform(4.2, 4.8)
     origin = towards / np.linalg.norm(towards) * distance
     camera = mc.PinholeCamera(
-        origin, rng.uniform(-0.3, 0.3, 3), fov=float(rng.uniform(*((70, 85) if is_room else (42, 50)))), width=WIDTH,
+        origin, rng.uniform(-0.3, 0.3, 3), fov=float(rng.uniform(*((70, 85) if is_room else (32, 38)))), width=WIDTH,
         height=HEIGHT,
     )  # fmt: skip
     return RandomScene(f"{number}: {setting}", mc.Scene([*around, *inside], sky), camera, options)
