@@ -54,7 +54,8 @@ def surroundings(rng, setting):
     if setting == "sky":
         return [], color(rng, 0.4, 1.5)
     if setting == "dome":
-        return [mc.Sphere((0, 0, 0), 6.0, mc.Diffuse(color(rng, 0.1, 0.5)), color(rng, 0.2, 0.8), inward=True)], None
+        # Black: Mitsuba is biased where such a light shines on itself, see ``cross_check.on_itself``.
+        return [mc.Sphere((0, 0, 0), 6.0, mc.Diffuse(0.0), color(rng, 0.2, 0.8), inward=True)], None
     if setting.startswith("ground"):
         ground = mc.Quad((-6, -2, -6), (0.5, 0, 12), (12, 0, 0.5), mc.Diffuse(color(rng, 0.2, 0.8)))
         return [ground], None if "night" in setting else color(rng, 0.2, 1.0)
