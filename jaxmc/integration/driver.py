@@ -6,6 +6,7 @@ the order of the blocks: a result is the same, bit for bit, for any chunk size a
 
 import itertools
 import time
+from collections.abc import Iterator
 from operator import itemgetter
 from typing import Any
 
@@ -66,7 +67,7 @@ def integrate(
         blocks, rows = max(blocks, min(replicates, MOST_BLOCKS)), SMALL
     run = Run(integrand, key, sampler, replicates, tallies, workers, blocks, rows)
     if n is not None:
-        with Progress(progress, run.points(n) * (replicates or 1)) as bar:
+        with Progress(progress, run.total(n)) as bar:
             return run.stream(n, bar)
     with Progress(progress, None) as bar:
         return stopping.run_until(target, run, bar)
@@ -83,14 +84,18 @@ def integrate_each(
     its high word is ``r * items + i`` for randomisation r. Moments have a leading axis of length ``items``; tallies
     that are pooled run over all samples of all items. Arguments and errors otherwise as in ``integrate``.
     """
-    f = as_integrand(f)
-    n, items = positive("n", n), positive("items", items)
+    n, run = positive("n", n), family_run(f, items, key, sampler, replicates, tallies, workers, chunk)
+    with Progress(progress, run.total(n)) as bar:
+        return run.family(n, bar)
+
+
+def family_run(f, items, key, sampler, replicates, tallies, workers, chunk) -> "Run":
+    """Return the run of a family of integrals before its first sample; arguments as in ``integrate_each``."""
+    f, items = as_integrand(f), positive("items", items)
     replicates = _replicates(replicates, sampler, REPLICATES_EACH)
     lanes = lanes_for(items)
     blocks = min(_blocks(chunk), -(-items // lanes))
-    run = Run(f, key, sampler, replicates, tallies, workers, blocks, ROWS, items, lanes)
-    with Progress(progress, run.points(n) * (replicates or 1) * items) as bar:
-        return run.family(n, bar)
+    return Run(f, key, sampler, replicates, tallies, workers, blocks, ROWS, items, lanes)
 
 
 def _blocks(chunk):
@@ -117,7 +122,7 @@ class Run:
     """The tallies of one estimate while it grows.
 
     Attributes:
-        n: samples folded so far, of each integral of a family.
+        samples: folded so far, of all integrals of a family together.
         seconds: wall time since the start, compilation included.
     """
 
@@ -135,11 +140,20 @@ class Run:
         self.items, self.lanes = items, lanes
         self.apart = "moments" if replicates else None  # the tally whose state each replicate has for itself
         self.states: dict[str, Any] = {}
-        self.used, self.n = 0, 0
+        self.used, self.samples = 0, 0
+
+    @property
+    def n(self):
+        """Samples folded so far, of each integral of a family."""
+        return self.samples // (self.items or 1)
 
     @property
     def seconds(self):
         return time.perf_counter() - self.started
+
+    def total(self, n):
+        """Return how many samples there will be in all if ``n`` are asked for."""
+        return self.points(n) * (self.replicates or 1) * (self.items or 1)
 
     def points(self, n):
         """Return how many points each randomisation gets, or all together, if there are to be ``n`` samples."""
@@ -155,16 +169,25 @@ class Run:
 
     def family(self, n, bar) -> Estimate:
         """Return the estimate of a family of integrals from ``n`` samples each."""
+        *_, estimate = self.passes(n, bar, lambda ranges: [ranges])
+        return estimate
+
+    def passes(self, n, bar, cut) -> Iterator[Estimate]:
+        """Yield an estimate of a family after each list of ranges that ``cut`` makes of those of all its samples."""
         points = self.points(n)
-        jobs = item_jobs(self._ranges(points), self.items, self.blocks, self.lanes, self.sampler.independent)
-        self._add(jobs, points, bar)
-        return self._estimate(points)
+        ranges = self._ranges(points)
+        if self.replicates and self.sampler.independent:
+            # Independent points know no randomisations: give each replicate samples of its own.
+            ranges = [(r, r * points, (r + 1) * points) for r, _, _ in ranges]
+        for some in cut(ranges):
+            self._add(item_jobs(some, self.items, self.blocks, self.lanes, self.sampler.independent), points, bar)
+            yield self._estimate(points)
 
     def _ranges(self, points):
         """Return the samples to add: those that are missing, or new randomisations, for which others are forgotten."""
         if self.replicates is None:
             return [(0, self.n, points)]
-        first, self.states, self.n = self.used, {}, 0
+        first, self.states, self.samples = self.used, {}, 0
         self.used += self.replicates
         return [(r, 0, points) for r in range(first, self.used)]
 
@@ -199,7 +222,7 @@ class Run:
             self._begin(records, example)
             for name, tally in self.tallies.items():
                 self._fold(name, tally, records[name], job)
-            self.n += job.samples // (self.items or 1)
+            self.samples += job.samples
             bar.update(job.samples)
             if time.perf_counter() > deadline:
                 return False

@@ -185,7 +185,7 @@ class _PowerSums:
             central[:, piece] = [x / n[piece] for x in _shift(n[piece], powers, -shift)[1:]]
         np.maximum(central[0], 0.0, out=central[0])
         shape = self.center.shape
-        return MomentsResult(self.n, mean.reshape(shape), [x.reshape(shape) for x in central], self.nonfinite)
+        return MomentsResult(self.n.copy(), mean.reshape(shape), [x.reshape(shape) for x in central], self.nonfinite)
 
 
 class Replicates:
