@@ -35,9 +35,11 @@ from .integration.tallies import Histogram as Histogram
 from .integration.tallies import TailHistogram as TailHistogram
 from .integration.tallies import TopSamples as TopSamples
 from .integration.techniques import Technique as Technique
+from .live import preview as preview
 from .transport.areas import irradiance_by_areas as irradiance_by_areas
 from .transport.camera import PinholeCamera as PinholeCamera
 from .transport.debug import replay as replay
+from .transport.debug import sample_index as sample_index
 from .transport.integrands import intersect as intersect
 from .transport.integrands import irradiance as irradiance
 from .transport.integrands import neumann_terms as neumann_terms
@@ -56,9 +58,16 @@ from .transport.primitives import Box as Box
 from .transport.primitives import Quad as Quad
 from .transport.primitives import Sphere as Sphere
 from .transport.primitives import Triangle as Triangle
+from .transport.progressive import render_progressively as render_progressively
 from .transport.scene import Scene as Scene
 from .transport.sky import GradientSky as GradientSky
 from .transport.strategy import PathOptions as PathOptions
 from .transport.strategy import Roulette as Roulette
+from .transport.views import view_bounces as view_bounces
+from .transport.views import view_depth as view_depth
+from .transport.views import view_fireflies as view_fireflies
+from .transport.views import view_normals as view_normals
+from .transport.views import view_time as view_time
+from .transport.views import view_variance as view_variance
 
 __version__ = "0.1.0"

@@ -1,13 +1,13 @@
-"""The command line: ``jaxmc study | replay | bench``, and the commands of other packages, such as ``jaxmc scenes``."""
+"""The command line: ``jaxmc render | replay | study | bench``, and the commands of other packages, such as ``jaxmc scenes``."""
 
 import argparse
 import sys
 from importlib import metadata
 
-from . import __version__, bench, scenes
+from . import __version__, bench, render_command
 from .known import COMMANDS, collection
+from .render_command import seed as _seed
 from .studies import calibration, mirror_box, sparkles, stability
-from .transport.debug import replay
 
 
 def main(arguments=None) -> int:
@@ -28,6 +28,7 @@ def _parser():
     parser.add_argument("--version", action="version", version=f"jaxmc {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
+    render_command.add_commands(commands)
     study = commands.add_parser("study", help="run a study and write its report").add_subparsers(
         required=True, metavar="STUDY"
     )
@@ -56,13 +57,6 @@ def _parser():
         command.add_argument("--seed", type=int, default=0, help="seed (default 0)")
         command.add_argument("--quiet", action="store_true", help="no progress bar")
 
-    again = commands.add_parser("replay", help="print one path of a study, vertex by vertex")
-    replays = again.add_subparsers(required=True, metavar="STUDY")
-    for name, run in (("mirror-box", _replay_mirror_box), ("sparkles", _replay_sparkles)):
-        one = replays.add_parser(name)
-        one.add_argument("--sample", type=int, required=True, metavar="INDEX", help="sample index, from the report")
-        one.add_argument("--seed", type=int, default=0, help="seed of the study (default 0)")
-        one.set_defaults(run=run)
     race = commands.add_parser("bench", help="error against run time of every sampler, and of other integrators")
     race.add_argument("name", nargs="?", default="oscillatory", help="integrand: a known name or module:function")
     race.add_argument("--dim", type=int, help="dimensions, where the integrand comes in any (most are made for 8)")
@@ -108,23 +102,6 @@ def _study_stability(options):
     )
     print(f"report: {stability.run(options.out, settings)}")
     return 0
-
-
-def _replay_mirror_box(options):
-    scene, camera = scenes.mirror_box()
-    print(replay(scene, camera, options.sample, key=_seed(options) << 8, **mirror_box.PATHS))
-    return 0
-
-
-def _replay_sparkles(options):
-    print(sparkles.extreme_path(options.sample, _seed(options)))
-    return 0
-
-
-def _seed(options):
-    if not 0 <= options.seed < 1 << 32:
-        raise ValueError(f"--seed must lie between 0 and 2^32 - 1, got {options.seed}")
-    return options.seed
 
 
 if __name__ == "__main__":

@@ -1,23 +1,20 @@
 """Figures: each function draws on the Axes that it is given. The only module that imports matplotlib."""
 
+import io
+
 import matplotlib
 import numpy as np
 from scipy import stats
 
+from .pictures import tone_map as tone_map
+
 matplotlib.use("Agg", force=False)
 import matplotlib.pyplot as plt
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, LogNorm, Normalize
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 SAMPLE_COUNT_COLORS = {16: "#d95f02", 128: "#7570b3", 1024: "#1b9e77"}
-
-
-def tone_map(image, exposure=1.0):
-    """Return display values in [0, 1] of a linear image: clip, then gamma 1 / 2.2. NaN becomes magenta."""
-    image = np.asarray(image, float) * exposure
-    bad = ~np.isfinite(image).all(-1)
-    shown = np.clip(np.nan_to_num(image), 0.0, 1.0) ** (1.0 / 2.2)
-    shown[bad] = (1.0, 0.0, 1.0)
-    return shown
 
 
 def images(pictures, columns=2, exposure=1.0):
@@ -34,12 +31,36 @@ def images(pictures, columns=2, exposure=1.0):
     return fig
 
 
-def heat_map(ax, values, label, cmap="inferno"):
-    """Draw a map of one number for each pixel, with its scale."""
-    shown = ax.imshow(values, cmap=cmap, interpolation="nearest")
+def heat_map(ax, values, label, cmap="inferno", log=False):
+    """Draw a map of one number for each pixel, with its scale; grey where it is not finite."""
+    values = np.where(np.isfinite(values), values, np.nan)
+    log = log and bool((values > 0.0).any())
+    ax.set_facecolor("0.75")
+    shown = ax.imshow(values, cmap=cmap, interpolation="nearest", norm=LogNorm(clip=True) if log else None)
     ax.set_xticks([])
     ax.set_yticks([])
     ax.figure.colorbar(shown, ax=ax, label=label, shrink=0.8)
+
+
+def normals(ax, values):
+    """Draw a map of unit normals: x, y and z as red, green and blue; black where there are none."""
+    seen = np.any(values != 0.0, -1, keepdims=True)
+    ax.imshow(np.clip(np.where(seen, 0.5 * values + 0.5, 0.0), 0.0, 1.0), interpolation="nearest")
+    ax.set_xticks([])
+    ax.set_yticks([])
+    for axis, name in enumerate("zyx"):
+        colors = np.full((256, 3), 0.5)
+        colors[:, 2 - axis] = np.linspace(0.0, 1.0, 256)
+        scale = ScalarMappable(Normalize(-1.0, 1.0), ListedColormap(colors))
+        ax.figure.colorbar(scale, ax=ax, label=f"{name} of the normal", shrink=0.8, pad=0.02)
+
+
+def png(fig) -> bytes:
+    """Return a figure as PNG, and close it."""
+    content = io.BytesIO()
+    fig.savefig(content, format="png", dpi=120)
+    plt.close(fig)
+    return content.getvalue()
 
 
 def exceedance(ax, curve, threshold=None):

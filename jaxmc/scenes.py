@@ -1,6 +1,7 @@
 """The scenes of the studies and benchmarks, each with the camera that looks at it."""
 
 import dataclasses
+from functools import partial
 from typing import Any, NamedTuple
 
 from .transport.camera import Camera, PinholeCamera
@@ -99,3 +100,13 @@ def closed_sparkle_box(albedo, width=128, height=128) -> tuple[Scene, Camera]:
     walls = _room((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5), white, white, white, front=True)
     camera = PinholeCamera((0, 0, 0.45), (0, 0, 0), fov=80, width=width, height=height)
     return Scene([*walls, _lamp((0.0, 0.499, 0.0), 0.25, 8.0, albedo)]), camera
+
+
+# Scenes that the command line knows by name; each makes a scene and its camera.
+SCENES = {
+    "cornell-box": cornell_box,
+    "mirror-box": mirror_box,
+    "mirror-box-diffuse": partial(mirror_box, mirror=False),
+    "sparkle-box": sparkle_box,
+    "closed-sparkle-box": partial(closed_sparkle_box, albedo=0.95),
+}

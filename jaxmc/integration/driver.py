@@ -278,6 +278,6 @@ class Run:
         results = {name: t.result(self.states[name]) for name, t in self.tallies.items() if name != "moments"}
         recipe = {"key": self.key, "sampler": repr(self.sampler), "n": self.n}
         if self.replicates:
-            recipe |= {"replicates": self.replicates, "points": points}
+            recipe |= {"replicates": self.n // points, "points": points}
         structure = jax.tree.structure(self.example)
         return Estimate(moments, self.n, results, self.seconds, recipe, structure, between, means)
