@@ -1,4 +1,4 @@
-"""The command line: ``jaxmc render | replay | study | bench``, and the commands of other packages, such as ``jaxmc scenes``."""
+"""The command line: ``jaxmc render | replay | study | bench``, and commands of other packages: ``jaxmc scenes``."""
 
 import argparse
 import sys

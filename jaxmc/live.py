@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from . import pictures
 from .integration.estimate import Estimate
 from .transport.camera import Camera
 from .transport.materials import luminance
@@ -62,9 +61,9 @@ def status_line(estimate: Estimate, rate: float) -> str:
 
 
 def relative_error(estimate: Estimate) -> float:
-    """Return the mean standard error of the pixels of an image over their mean, of luminance; NaN where it is not known.
+    """Return the mean standard error of the pixels of an image over their mean, of luminance; NaN where not known.
 
-    That of luminance is an upper bound, reached where the channels vary together.
+    The error of luminance is an upper bound, reached where the channels vary together.
     """
     error, mean = luminance(estimate.stderr).mean(), luminance(estimate.mean).mean()
     return float(error / mean) if mean > 0.0 else float("nan")

@@ -31,12 +31,13 @@ def images(pictures, columns=2, exposure=1.0):
     return fig
 
 
-def heat_map(ax, values, label, cmap="inferno", log=False):
-    """Draw a map of one number for each pixel, with its scale; grey where it is not finite."""
+def heat_map(ax, values, label, cmap="inferno", log=False, least=None):
+    """Draw a map of one number for each pixel, with its scale, from ``least`` on; grey where it is not finite."""
     values = np.where(np.isfinite(values), values, np.nan)
     log = log and bool((values > 0.0).any())
     ax.set_facecolor("0.75")
-    shown = ax.imshow(values, cmap=cmap, interpolation="nearest", norm=LogNorm(clip=True) if log else None)
+    norm = LogNorm(clip=True) if log else Normalize(vmin=least)
+    shown = ax.imshow(values, cmap=cmap, interpolation="nearest", norm=norm)
     ax.set_xticks([])
     ax.set_yticks([])
     ax.figure.colorbar(shown, ax=ax, label=label, shrink=0.8)

@@ -194,7 +194,8 @@ def _view(shot, options, out, hdr):
     else:
         values = _values(shot, options)
         shown = values * 1e9 if options.view == "time" else values
-        plot.heat_map(ax, shown, LABELS[options.view], log=options.view == "variance")
+        least = None if options.view in ("depth", "variance") else 0.0
+        plot.heat_map(ax, shown, LABELS[options.view], log=options.view == "variance", least=least)
     ax.set_title(f"{shot.name}, {width} x {height}", fontsize=10)
     pictures.write(out, plot.png(figure))
     if hdr:

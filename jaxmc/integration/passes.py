@@ -17,9 +17,9 @@ def integrate_each_in_passes(
 ) -> Iterator[Estimate]:  # fmt: skip
     """Return an iterator over estimates of a family of integrals from more and more of its samples.
 
-    Each pass adds samples that no other has; after the last one the estimate is that of ``integrate_each``, to rounding.
-    Samples of each integral come in passes of 1, 1, 2, 4 and so on up to 64, then an eighth of what is there; those of
-    randomised points by whole randomisations, one after the other. Arguments and errors as in ``integrate_each``.
+    Each pass adds samples that no other has; the last estimate is that of ``integrate_each``, to rounding. Samples of
+    each integral come in passes of 1, 1, 2, 4 and so on up to 64, then an eighth of what is there; where there are
+    replicates, by whole replicates, one after the other. Arguments and errors as in ``integrate_each``.
     """
     n, run = positive("n", n), family_run(f, items, key, sampler, replicates, tallies, workers, chunk)
     cut = doubling if run.replicates is None else one_by_one
@@ -44,5 +44,5 @@ def doubling(ranges) -> Iterator[list]:
 
 
 def one_by_one(ranges) -> Iterator[list]:
-    """Give each range of samples, which is that of one randomisation, a pass of its own."""
+    """Give each range of samples, which is that of one replicate, a pass of its own."""
     return ([one] for one in ranges)
