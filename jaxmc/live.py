@@ -31,11 +31,12 @@ def preview(scene: Scene, camera: Camera, *, spp=64, exposure=1.0, **options) ->
     """
     estimates = render_progressively(scene, camera, spp=spp, **options)
     display = _display()
-    return refine(estimates, display(exposure) if display else lambda estimate, line: None)[0]
+    return refine(estimates, display(exposure) if display else lambda estimate, line: None, spp)[0]
 
 
-def refine(estimates: Iterable[Estimate], show: Callable[[Estimate, str], None]) -> tuple[Estimate, bool]:
-    """Call ``show(estimate, line)`` with each estimate of an image and what can be said of it in one line.
+def refine(estimates: Iterable[Estimate], show: Callable[[Estimate, str], None], spp: int) -> tuple[Estimate, bool]:
+    """Call ``show(estimate, line)`` with each estimate of an image and what can be said of it in one line; there are to
+    be ``spp`` samples for each pixel.
 
     Returns the last estimate, and whether it is that of all samples: Ctrl-C ends with what has been reached. Before the
     first estimate there is nothing, and ``KeyboardInterrupt`` is raised.
@@ -44,7 +45,7 @@ def refine(estimates: Iterable[Estimate], show: Callable[[Estimate, str], None])
     try:
         for last in estimates:
             rate = (last.n - before) * last.mean[..., 0].size / (time.perf_counter() - started)
-            show(last, status_line(last, rate))
+            show(last, f"{last.n:,} of {max(spp, last.n):,} spp, {said(last, rate)}")
             before, started = last.n, time.perf_counter()
     except KeyboardInterrupt:
         if last is None:
@@ -53,11 +54,11 @@ def refine(estimates: Iterable[Estimate], show: Callable[[Estimate, str], None])
     return last, True
 
 
-def status_line(estimate: Estimate, rate: float) -> str:
-    """Return samples per pixel, seconds, a rate in paths per second and the mean relative error of an image."""
+def said(estimate: Estimate, rate: float) -> str:
+    """Return seconds, a rate in paths per second and the mean relative error of an image, in words."""
     error = relative_error(estimate)
     error = "" if np.isnan(error) else f", mean relative error {error:.2%}"
-    return f"{estimate.n:,} spp, {estimate.seconds:.1f} s, {rate / 1e6:.3g} million paths/s{error}"
+    return f"{estimate.seconds:.1f} s, {rate / 1e6:.3g} million paths/s{error}"
 
 
 def relative_error(estimate: Estimate) -> float:

@@ -163,7 +163,8 @@ def _render(options):
         pictures.write(hdr, values)
     print(f"{'image' if complete else 'interrupted; the image so far'}: {', '.join(str(p) for p in (out, hdr) if p)}")
     rate = estimate.n * shot.camera.width * shot.camera.height / estimate.seconds
-    print(f"{live.status_line(estimate, rate)}; {estimate.status}")
+    trouble = "" if estimate.status == "complete" else f"; {estimate.status}"
+    print(f"{estimate.n:,} spp, compiling included {live.said(estimate, rate)}{trouble}")
     return 0 if complete else 130
 
 
@@ -178,7 +179,7 @@ def _refine(shot, options, out):
 
     passes = render_progressively(shot.scene, shot.camera, spp=options.spp, **shot.arguments)
     try:
-        return live.refine(passes, show)
+        return live.refine(passes, show, options.spp)
     finally:
         terminal.end()
 
