@@ -82,6 +82,7 @@ def test_images_of_few_samples_know_their_number():
     assert estimate.n == 1 and estimate.recipe["n"] == 1 and (estimate.moments[0].n == 1).all()
 
 
+@pytest.mark.slow
 def test_progressive_image_is_that_of_one_render():
     scene, camera = scenes.mirror_box(width=24, height=16)
     options = {"spp": 40, "bounces": 2, "key": 5, "hide_emitters": True}
