@@ -122,7 +122,7 @@ class Run:
     """The tallies of one estimate while it grows.
 
     Attributes:
-        samples: folded so far, of all integrals of a family together.
+        n: samples folded so far, of each integral of a family.
         seconds: wall time since the start, compilation included.
     """
 
@@ -140,12 +140,7 @@ class Run:
         self.items, self.lanes = items, lanes
         self.apart = "moments" if replicates else None  # the tally whose state each replicate has for itself
         self.states: dict[str, Any] = {}
-        self.used, self.samples = 0, 0
-
-    @property
-    def n(self):
-        """Samples folded so far, of each integral of a family."""
-        return self.samples // (self.items or 1)
+        self.used, self.n = 0, 0
 
     @property
     def seconds(self):
@@ -181,13 +176,14 @@ class Run:
             ranges = [(r, r * points, (r + 1) * points) for r, _, _ in ranges]
         for some in cut(ranges):
             self._add(item_jobs(some, self.items, self.blocks, self.lanes, self.sampler.independent), points, bar)
+            self.n += sum(stop - start for _, start, stop in some)
             yield self._estimate(points)
 
     def _ranges(self, points):
         """Return the samples to add: those that are missing, or new randomisations, for which others are forgotten."""
         if self.replicates is None:
             return [(0, self.n, points)]
-        first, self.states, self.samples = self.used, {}, 0
+        first, self.states, self.n = self.used, {}, 0
         self.used += self.replicates
         return [(r, 0, points) for r in range(first, self.used)]
 
@@ -222,7 +218,7 @@ class Run:
             self._begin(records, example)
             for name, tally in self.tallies.items():
                 self._fold(name, tally, records[name], job)
-            self.samples += job.samples
+            self.n += 0 if self.items else job.samples
             bar.update(job.samples)
             if time.perf_counter() > deadline:
                 return False
