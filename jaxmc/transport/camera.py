@@ -17,7 +17,7 @@ from .vec import Vec3, cross, dot, normalize
 @partial(
     jax.tree_util.register_dataclass,
     data_fields=["origin", "right", "down", "forward"],
-    meta_fields=["width", "height"],
+    meta_fields=["width", "height", "antialias"],
 )
 @dataclasses.dataclass(frozen=True)
 class Camera:
@@ -31,6 +31,7 @@ class Camera:
     forward: Vec3
     width: int
     height: int
+    antialias: bool = True
 
     def ray(self, x, y) -> Ray:
         """Return the ray through film position (x, y), in pixels from the top left corner."""

@@ -16,6 +16,7 @@ from ..integration.moments import Moments, MomentsResult
 from ..integration.samplers import Independent
 from . import shapes
 from .camera import Camera
+from .film import on_film
 from .hits import Hit, Surface, approach, closest_hit, primitive_at, surface_at
 from .materials import luminance
 from .paths import PathState, Strategy, black, finish, follow, scatter, trace
@@ -82,7 +83,7 @@ def irradiance(scene: Scene, point, normal, *, bounces, directions="cosine", lig
 
 def render(
     scene: Scene, camera: Camera, *, spp, bounces=5, directions="cosine", lights="mis", clamp=None, hide_emitters=False,
-    key=0, sampler=Independent(), replicates=None, tallies=None, progress=None, workers=None, chunk=None,
+    filter=None, key=0, sampler=Independent(), replicates=None, tallies=None, progress=None, workers=None, chunk=None,
 ) -> Estimate:  # fmt: skip
     """Render an image: one integral for each pixel, ``spp`` samples each.
 
@@ -98,9 +99,12 @@ def render(
     integrand = path_integrand(
         scene, camera, bounces=bounces, directions=directions, lights=lights, clamp=clamp, hide_emitters=hide_emitters
     )
+    kept, seen = Moments(order=2), tallies
+    if filter is not None:
+        integrand, kept, seen = on_film(integrand, filter, camera, tallies)
     estimate = integrate_each(
         integrand, camera.width * camera.height, n=positive("spp", spp), key=key, sampler=sampler,
-        replicates=replicates, tallies=tallies, progress=progress, workers=workers, chunk=chunk,
+        replicates=replicates, tallies=seen, progress=progress, workers=workers, chunk=chunk, kept=kept,
     )  # fmt: skip
     further = {
         name: [_as_image(m, camera) for m in result] if isinstance((tallies or {})[name], Moments) else result
@@ -108,7 +112,8 @@ def render(
     }
     moments = [_as_image(m, camera) for m in estimate.moments]
     between = estimate.between and [_as_image(m, camera) for m in estimate.between]
-    return dataclasses.replace(estimate, moments=moments, tallies=further, between=between)
+    structure = jax.tree.structure(0)
+    return dataclasses.replace(estimate, moments=moments, tallies=further, between=between, structure=structure)
 
 
 def path_throughput(scene: Scene, camera: Camera, *, events, directions="cosine") -> Integrand:
