@@ -20,6 +20,8 @@ from jax import lax
 from ..integration.moments import MomentsResult
 from .filters import Filter
 
+GROUPS = 8  # of the samples of a pixel in a block, from whose spread the error comes, or somewhat more
+
 
 def on_film(integrand, filter, camera, tallies):
     """Return the integrand of an image as splats, the tally that weighs them by ``filter``, and ``tallies`` as those of
@@ -99,37 +101,24 @@ class Film:
     width: int
     pooled = True
 
-    @property
-    def offsets(self):
-        """Return the neighbours along one axis that a sample counts in, in pixels from its own."""
-        return np.arange(-self.filter.reach, self.filter.reach + 1)
-
     def reduce(self, splats, valid, axes):
         count = valid.sum(0)
-        centers = jnp.stack([_center(light, valid, count) for light in splats.light])
-        deviations = [jnp.where(valid, light - c, 0.0) for light, c in zip(splats.light, centers, strict=True)]
-        # Scale them, and the steps from pixel to pixel, or the squares of finite values overflow.
-        sizes = [jnp.max(jnp.where(jnp.isfinite(d), jnp.abs(d), 0.0)) for d in (*deviations, centers)]
-        scale = jnp.max(jnp.stack(sizes))
-        inverse = jnp.where(scale > 0.0, 1.0 / scale, 0.0)
-        deviations = [d * inverse for d in deviations]
-        weights_x = jnp.moveaxis(lax.map(lambda dx: self.filter.profile(splats.x - 0.5 - dx), self._offsets(splats.x)), 0, 1)
-
-        def of_row(dy):
-            """Return the sums for the pixels of the image row that is ``dy`` rows below."""
-            weights_y = jnp.where(valid, self.filter.profile(splats.y - 0.5 - dy), 0.0)
-            sums = _sums(weights_x, lax.optimization_barrier(weights_y), deviations, count)
-            return self._add_along_row(sums, centers * inverse, splats.pixel[0])
-
+        centers, largest, bad = _survey(splats.light, valid, count)
+        # Scale deviations and steps from pixel to pixel, or the squares of finite values overflow.
+        inverse = jnp.where(largest > 0.0, 1.0 / largest, 0.0)
+        deviations = [jnp.where(valid, light - c, 0.0) * inverse for light, c in zip(splats.light, centers, strict=True)]
+        weights_y = jnp.where(valid[:, None], self._weights(splats.y), 0.0)
+        sums = _sums(self._weights(splats.x), weights_y, deviations, count)
         return {
-            "first": splats.pixel[0, 0], "count": count, "scale": scale, "center": self._spread(centers),
-            "sums": lax.map(of_row, self._offsets(splats.y)),
-            "nonfinite": sum((valid & ~jnp.isfinite(light)).sum() for light in splats.light),
+            "first": splats.pixel[0, 0], "count": count, "scale": largest, "center": self._spread(centers),
+            "sums": self._add_along_row(sums, centers * inverse, splats.pixel[0]), "nonfinite": bad,
         }  # fmt: skip
 
-    def _offsets(self, like):
-        """Return the neighbours along one axis that a sample counts in, in pixels from its own."""
-        return jnp.arange(-self.filter.reach, self.filter.reach + 1, dtype=like.dtype)
+    def _weights(self, x):
+        """Return the weights along one axis for each neighbour, shape (rows, neighbours, pixels)."""
+        reach = self.filter.reach
+        weights = lax.map(lambda k: self.filter.profile(x - 0.5 - k), jnp.arange(-reach, reach + 1, dtype=x.dtype))
+        return lax.optimization_barrier(jnp.moveaxis(weights, 0, 1))
 
     def _spread(self, x):
         """Return ``x`` with as many lanes more at either end as a sample reaches, like the last one."""
@@ -137,20 +126,16 @@ class Film:
 
     def _add_along_row(self, sums, centers, pixel):
         """Give the sums of each pixel to its neighbours in a row of the image; return those of each of them, about its
-        own center, shape (2 + 3 channels, pixels + 2 reach)."""
-        weight, ww, light = sums
+        own center, shape (neighbours above and below, 2 + 3 channels, pixels + 2 reach)."""
         column = (pixel % self.width).astype(jnp.int32)
         around = self._spread(centers)
-        total = jnp.zeros((2 + 3 * len(light), around.shape[1]), around.dtype)
-        for i in range(len(weight)):
-            w, v = weight[i], ww[i]
-            moved = [w, v]
-            for k, (wd, wwd, wdd) in enumerate(light):
-                step = centers[k] - around[k, i : i + len(column)]
-                moved += [wd[i] + step * w, wwd[i] + step * v, wdd[i] + step * (2.0 * wwd[i] + step * v)]
-            to = column + i - self.filter.reach
-            there = jnp.where((to >= 0) & (to < self.width), jnp.stack(moved), 0.0)
-            total = total.at[:, i : i + len(column)].add(there)
+        total = jnp.zeros((sums.shape[1], len(sums), around.shape[1]), sums.dtype)
+        for k in range(sums.shape[2]):
+            lanes = slice(k, k + len(column))
+            to = column + (k - self.filter.reach)
+            moved = jnp.concatenate(recentred(sums[:, :, k], (centers - around[:, lanes])[:, None]))
+            moved = jnp.where((to >= 0) & (to < self.width), moved, 0.0)
+            total = total.at[..., lanes].add(jnp.moveaxis(moved, 0, 1))
         return total
 
     def init(self, record, items=()):
@@ -164,46 +149,77 @@ class Film:
         return [state[0].moments()]
 
 
-def _center(light, valid, count):
-    """Return about the mean of the samples of each pixel; a finite number in any case."""
-    # Divide first: the sum of finite values may overflow.
-    mean = jnp.sum(jnp.where(valid, light, 0.0) * (1.0 / len(light)), 0) * (len(light) / jnp.maximum(count, 1))
-    return jnp.where(jnp.isfinite(mean), mean, 0.0).astype(light.dtype)
+def _survey(lights, valid, count):
+    """Return about the mean of the samples of each pixel, finite in any case, shape (channels, pixels), the largest
+    finite absolute value, and how many values are not finite."""
+    rows = len(valid)
+
+    def add_row(r, found):
+        total, largest, bad = found
+        light = jnp.where(valid[r], jnp.stack([light[r] for light in lights]), 0.0)
+        finite = jnp.isfinite(light)
+        # Divide first: the sum of finite values may overflow.
+        total = total + jnp.where(finite, light, 0.0) * (1.0 / rows)
+        return total, jnp.maximum(largest, jnp.where(finite, jnp.abs(light), 0.0)), bad + ~finite
+
+    zero = jnp.zeros((len(lights), valid.shape[1]), lights[0].dtype)
+    total, largest, bad = lax.fori_loop(0, count.max(), add_row, (zero, zero, zero.astype(jnp.int32)))
+    return total * (rows / jnp.maximum(count, 1).astype(zero.dtype)), largest.max(), bad.sum()
 
 
 def _sums(weights_x, weights_y, deviations, count):
-    """Return for each neighbour in a row, and each pixel, the sum over its samples of w, its variance, and for each
-    channel the sum of w d, its covariance with that of w, and its variance: arrays of shape (neighbours, pixels).
+    """Return sums over the samples of each pixel for each of its neighbours, in the layout of ``FilmSums.total``: shape
+    (2 + 3 channels, neighbours, neighbours, pixels), from bottom to top and from left to right.
 
-    ``weights_x`` has shape (rows, neighbours, pixels), ``weights_y`` and the deviations d have (rows, pixels).
+    Weights have shape (rows, neighbours, pixels), deviations (rows, pixels). Products are formed of the sums of a few
+    samples each, which costs a third of those of every sample.
     """
+    used, channels = count.max(), len(deviations)
+    size = jnp.maximum(used // GROUPS, 1)
+    groups = (used + size - 1) // size
+    neighbours = weights_x.shape[1]
+    zero = jnp.zeros((neighbours, *weights_x.shape[1:]), weights_x.dtype)
 
     def add_row(r, sums):
-        w = weights_x[r] * weights_y[r]
-        new = [w, w * w]
-        for d in deviations:
-            wd = w * d[r]
-            new += [wd, w * wd, wd * wd]
-        return [s + x for s, x in zip(sums, new, strict=True)]
+        w = weights_y[r][:, None] * weights_x[r]
+        return [sums[0] + w, *(s + w * d[r] for s, d in zip(sums[1:], deviations, strict=True))]
 
-    zero = jnp.zeros(weights_x.shape[1:], weights_x.dtype)
-    weight, ww, *rest = lax.fori_loop(0, count.max(), add_row, [zero] * (2 + 3 * len(deviations)))
-    n = jnp.maximum(count, 1).astype(zero.dtype)
-    factor = n / jnp.maximum(n - 1.0, 1.0)
+    def add_group(k, total):
+        stop = jnp.minimum((k + 1) * size, used)
+        w, *wd = lax.fori_loop(k * size, stop, add_row, [zero] * (1 + channels))
+        share = 1.0 / (stop - k * size).astype(zero.dtype)
+        mean = w * share
+        new = [w, mean * w, *wd, *(mean * x for x in wd), *(x * share * x for x in wd)]
+        return [s + x for s, x in zip(total, new, strict=True)]
+
+    total = lax.fori_loop(0, groups, add_group, [zero] * (2 + 3 * channels))
+    w, ww, wd = total[0], total[1], total[2 : 2 + channels]
+    wwd, wdd = total[2 + channels : 2 + 2 * channels], total[2 + 2 * channels :]
+    n = jnp.maximum(used, 1).astype(zero.dtype)
 
     def variance(product, a, b):
-        return jnp.where(count > 1, (product - a * b / n) * factor, product)
+        return jnp.where(groups > 1, (product - a * b / n) * (n / jnp.maximum(groups - 1, 1)), product)
 
-    light = []
-    for k in range(0, len(rest), 3):
-        wd, wwd, wdd = rest[k : k + 3]
-        light.append((wd, variance(wwd, weight, wd), variance(wdd, wd, wd)))
-    return weight, variance(ww, weight, weight), light
+    covariances = [variance(product, w, x) for product, x in zip(wwd, wd, strict=True)]
+    variances = [variance(product, x, x) for product, x in zip(wdd, wd, strict=True)]
+    return jnp.stack([w, variance(ww, w, w), *wd, *covariances, *variances])
+
+
+def recentred(sums, step):
+    """Return sums about centers that are lower by ``step``, channels on its first axis, in four parts: both of w, and
+    each of the others. ``sums`` has the layout of ``FilmSums.total``."""
+    c = len(step)
+    weight, ww = sums[:1], sums[1:2]
+    wd, wwd, wdd = sums[2 : 2 + c], sums[2 + c : 2 + 2 * c], sums[2 + 2 * c :]
+    return sums[:2], wd + step * weight, wwd + step * ww, wdd + step * (2.0 * wwd + step * ww)
 
 
 class FilmSums:
-    """The sums of every pixel in float64, about a center of its own: of w, its variance, and for each channel the sum
-    of w (L - center), its covariance with that of w, and its variance. ``total`` has shape (2 + 3 channels, pixels)."""
+    """The sums of every pixel in float64, about a center of its own.
+
+    ``total`` has shape (2 + 3 channels, pixels): the sum of w, its variance, then by channels the sums of w d, where d
+    is L less the center, their covariances with the sum of w, and their variances.
+    """
 
     def __init__(self, width, reach, channels, items):
         self.width, self.reach, self.channels = width, reach, channels
@@ -225,7 +241,7 @@ class FilmSums:
     def add(self, record):
         """Add the records of blocks, in their order."""
         items = len(self.n)
-        powers = np.array([0, 0, *[1, 1, 2] * self.channels])
+        powers = np.repeat([0, 1, 1, 2], [2, *[self.channels] * 3])
         for block, first in enumerate(record["first"].tolist()):
             count = record["count"][block][: items - first]
             self.n[first : first + len(count)] += count
@@ -249,21 +265,17 @@ class FilmSums:
         if not touched.all():
             self.center[:, where] = np.where(touched, self.center[:, where], center)
             self.touched[where] = True
-        step = center - self.center[:, where]
-        weight, ww = sums[:2]
-        wd, wwd, wdd = sums[2::3], sums[3::3], sums[4::3]
-        total = self.total[:, where]
-        total[:2] += sums[:2]
-        total[2::3] += wd + step * weight
-        total[3::3] += wwd + step * ww
-        total[4::3] += wdd + step * (2.0 * wwd + step * ww)
+        start = 0
+        for part in recentred(sums, center - self.center[:, where]):
+            self.total[start : start + len(part), where] += part
+            start += len(part)
 
     @np.errstate(all="ignore")
     def moments(self) -> MomentsResult:
         """Return the mean of every pixel, shape (pixels, channels), and n times the square of its error as variance."""
-        weight, ww = self.total[:2]
-        shift = self.total[2::3] / weight
-        wwd, wdd = self.total[3::3], self.total[4::3]
-        error = np.maximum(wdd - shift * (2.0 * wwd - shift * ww), 0.0) / weight**2
+        weight = self.total[0]
+        shift = self.total[2 : 2 + self.channels] / weight
+        variance = recentred(self.total, -shift)[-1]
+        error = np.maximum(variance, 0.0) / weight**2
         n = np.broadcast_to(self.n, shift.shape)
         return MomentsResult(n.T, (self.center + shift).T, [(error * (n - 1.0)).T], self.nonfinite)
