@@ -33,7 +33,8 @@ def path_integrand(
     """Return the mean radiance of a camera's image as one flat integral.
 
     The first two coordinates are the film position (x, y) over the whole image, then come 2 to 5 for each scattering
-    event; ``Integrand.labels`` names them. The value is radiance, linear: a number for a grey scene, else RGB of shape
+    event; ``Integrand.labels`` names them. Where the camera has ``antialias=False`` the first two only choose the pixel,
+    and ``render``, which knows it, begins with the scattering events. The value is radiance, linear: a number for a grey scene, else RGB of shape
     (3,). ``jax.grad`` with respect to the scene's values gives the interior derivative only: what moving silhouettes
     and shadow edges add is missing.
 
@@ -54,7 +55,7 @@ def path_integrand(
     _check(camera, Camera, "camera", "mc.PinholeCamera(...)")
     strategy = Strategy(bounces, directions, lights, clamp, hide_emitters)
     camera, far = _local(scene, camera)
-    return _integrand(_Film(strategy, far), scene, (camera,), ("film: x", "film: y"))
+    return _integrand(_Film(strategy, far), scene, (camera,), _film_labels(camera))
 
 
 def radiance(scene: Scene, origin, direction, *, bounces, directions="cosine", lights="mis", clamp=None) -> Integrand:
@@ -92,9 +93,21 @@ def render(
     afresh for each pixel and replicate, of which there are 4 by default.
     Path options as in ``path_integrand``, the rest as in ``integrate``.
 
+    ``filter=None`` makes a pixel the mean of its own samples. With a filter, such as ``MitchellFilter()``, samples are
+    the same but count in all pixels around: a pixel is the sum of weight times radiance over the sum of the weights.
+    There are no samples outside of the image: at its border a pixel is a mean over the part of the filter inside. That
+    ratio has a bias of the order of 1 / spp, far below its error; ``stderr`` is that of the ratio, to first order, from
+    the spread of the samples in each pixel around, or from that of the images where there are replicates.
+    ``variance`` is spp times its square, for points that are independent. Neighbours share samples, so their errors are
+    correlated. A value that is not finite spoils all pixels in reach. Tallies see the samples by themselves.
+
     Returns:
         An ``Estimate`` whose mean, variance and stderr have shape ``(height, width, 3)``: radiance, not clipped.
         ``Moments`` among ``tallies`` come back in that shape too.
+
+    Raises:
+        ValueError: as in ``path_integrand`` and ``integrate``, or a filter that is none, or one for a camera without
+            anti-aliasing.
     """
     integrand = path_integrand(
         scene, camera, bounces=bounces, directions=directions, lights=lights, clamp=clamp, hide_emitters=hide_emitters
@@ -130,7 +143,7 @@ def path_throughput(scene: Scene, camera: Camera, *, events, directions="cosine"
     numbers = tuple(map(int, numbers))
     strategy = Strategy(max(numbers), directions, "none")
     camera, far = _local(scene, camera)
-    return _integrand(_Throughput(strategy, far, numbers), scene, (camera,), ("film: x", "film: y"))
+    return _integrand(_Throughput(strategy, far, numbers), scene, (camera,), _film_labels(camera))
 
 
 class Intersection(NamedTuple):
@@ -177,16 +190,26 @@ class _Film:
     strategy: Strategy
     far: bool
 
+    def first(self, camera, pixel=None):
+        """Return the first coordinate of the scattering events."""
+        return 2 if camera.antialias or pixel is None else 0
+
     def start(self, u, scene, camera, pixel=None):
         if pixel is None:
-            ray = camera.ray(u[0] * camera.width, u[1] * camera.height)
+            x, y = u[0] * camera.width, u[1] * camera.height
+            if not camera.antialias:
+                # Rounding up may lead to the pixel behind the last one.
+                x, y = jnp.minimum(jnp.floor(x), camera.width - 1), jnp.minimum(jnp.floor(y), camera.height - 1)
         else:
-            column, row = pixel % camera.width, pixel // camera.width
-            ray = camera.ray(column.astype(float) + u[0], row.astype(float) + u[1])
+            x, y = (pixel % camera.width).astype(float), (pixel // camera.width).astype(float)
+            if camera.antialias:
+                x, y = x + u[0], y + u[1]
+        ray = camera.ray(x, y) if camera.antialias else camera.ray(x + 0.5, y + 0.5)
         return approach(scene, ray)[0] if self.far else ray
 
     def __call__(self, u, scene, camera, pixel=None):
-        return finish(self.strategy, trace(scene, self.strategy, u, 2, self.start(u, scene, camera, pixel))[0])
+        start = self.start(u, scene, camera, pixel)
+        return finish(self.strategy, trace(scene, self.strategy, u, self.first(camera, pixel), start)[0])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -199,7 +222,8 @@ class _Throughput(_Film):
         def observe(surface, after):
             return jnp.where(surface.primitive >= 0, luminance(after.beta), 0.0)
 
-        _, throughput = trace(scene, self.strategy, u, 2, self.start(u, scene, camera, pixel), observe)
+        start = self.start(u, scene, camera, pixel)
+        _, throughput = trace(scene, self.strategy, u, self.first(camera, pixel), start, observe)
         return jnp.asarray(throughput)[jnp.array(self.events) - 1]
 
 
@@ -236,6 +260,10 @@ def _local(scene, camera):
     origin = scene.local(camera.origin)
     near = is_concrete((origin, scene.reach)) and dot(origin, origin) < (FAR * scene.reach) ** 2
     return dataclasses.replace(camera, origin=origin), not near
+
+
+def _film_labels(camera):
+    return ("film: x", "film: y") if camera.antialias else ("film: column", "film: row")
 
 
 def _integrand(fn, scene, params, labels, extra=0):
