@@ -10,6 +10,7 @@ from analytic_scenes import (
     caps,
     cavity,
     chains,
+    coverage,
     enclosures,
     exchange,
     furnace,
@@ -22,6 +23,7 @@ from analytic_scenes import (
     mirror_rooms,
     mirrors,
     occlusion,
+    pixels,
     receivers,
     roulette,
     sensors,
@@ -33,6 +35,12 @@ from analytic_scenes import (
 )
 from analytic_scenes.caps import caps_irradiance, caps_overlap, parallelogram_caps, sphere_caps
 from analytic_scenes.checking import Check, check
+from analytic_scenes.coverage import (
+    disk_coverage,
+    ellipse_coverage,
+    half_plane_coverage,
+    sphere_outline,
+)
 from analytic_scenes.enclosures import ball_under_sky, concentric_spheres, kirchhoff_room, parallel_plates
 from analytic_scenes.exchange import (
     coaxial_disks,
@@ -80,6 +88,7 @@ from analytic_scenes.occlusion import (
     open_under_rectangle,
     open_under_two_spheres,
 )
+from analytic_scenes.pixels import half_plane_pixel, sphere_pixel
 from analytic_scenes.roulette import absorption_furnace, critical_roulette_albedo, path_length, roulette_furnace
 from analytic_scenes.scene import AnalyticScene, value_and_derivatives
 from analytic_scenes.shadows import (
@@ -101,7 +110,7 @@ from analytic_scenes.throughput import (
 
 FAMILIES = (
     furnace, enclosures, integrating_sphere, exchange, lights, lit_surfaces, occlusion, skies, shadows, mirrors,
-    mirror_rooms, mirror_balls, throughput, roulette,
+    mirror_rooms, mirror_balls, throughput, roulette, pixels,
 )  # fmt: skip
 
 
@@ -136,11 +145,14 @@ __all__ = [
     "coaxial_disks",
     "concentric_spheres",
     "corner_rectangle_irradiance",
+    "coverage",
     "critical_albedo",
     "critical_roulette_albedo",
     "cube_furnace",
+    "disk_coverage",
     "disk_of_ball_under_zonal_sky",
     "eclipsed_solid_angle",
+    "ellipse_coverage",
     "enclosures",
     "exchange",
     "facing_rectangles",
@@ -150,6 +162,8 @@ __all__ = [
     "furnace_radiance",
     "furnace_variance",
     "genz",
+    "half_plane_coverage",
+    "half_plane_pixel",
     "inner_sphere",
     "integrands",
     "integrating_sphere",
@@ -183,6 +197,7 @@ __all__ = [
     "parallelogram_irradiance",
     "parallelogram_solid_angle",
     "path_length",
+    "pixels",
     "polygon_irradiance",
     "receivers",
     "rectangle_behind_rectangle",
@@ -214,6 +229,8 @@ __all__ = [
     "sphere_light_in_small_mirror",
     "sphere_light_over_rectangle",
     "sphere_over_disk",
+    "sphere_outline",
+    "sphere_pixel",
     "standing_rectangle",
     "standing_rectangle_irradiance",
     "tail_index",

@@ -107,9 +107,8 @@ def half_plane_coverage(filter, angle, offset):
     # Integrate in closed form along the axis that the normal is closer to: F is then smooth in the other one.
     steep = jnp.abs(sine) >= jnp.abs(cosine)
     major, minor = jnp.where(steep, sine, cosine), jnp.where(steep, cosine, sine)
-    breaks, level = jnp.array(f.breaks), jnp.minimum(jnp.abs(minor), 1.0)
+    breaks, parallel = jnp.array(f.breaks), jnp.abs(minor) < 1e-12
     # An edge parallel to this axis meets no break of F.
-    parallel = level < 1e-12
     met = jnp.where(parallel, breaks, (offset - breaks * major) / jnp.where(parallel, 1.0, minor))
     low, high = f.breaks[0], f.breaks[-1]
 

@@ -41,6 +41,8 @@ def interval(estimate, level, method, bounds) -> Interval:
     if method == natural:
         halves = estimate.half_widths(level)
         ends = [(m.mean - half, m.mean + half) for m, half in zip(estimate.moments, halves, strict=True)]
+    elif method == BOUNDED and estimate.ratio:
+        raise ValueError(f'the method "{BOUNDED}" is for plain means, and this is a ratio of sums; leave bounds out')
     elif method == BOUNDED:
         ends = [_bounded(m, level, bounds) for m in estimate.between or estimate.moments]
     elif method in (MEDIAN, BOOTSTRAP):

@@ -33,8 +33,8 @@ def path_integrand(
     """Return the mean radiance of a camera's image as one flat integral.
 
     The first two coordinates are the film position (x, y) over the whole image, then come 2 to 5 for each scattering
-    event; ``Integrand.labels`` names them. Where the camera has ``antialias=False`` the first two only choose the pixel,
-    and ``render``, which knows it, begins with the scattering events. The value is radiance, linear: a number for a grey scene, else RGB of shape
+    event; ``Integrand.labels`` names them. Where the camera has ``antialias=False`` the first two only choose the
+    pixel, and ``render``, which knows it, begins with the scattering events. The value is radiance, linear: a number for a grey scene, else RGB of shape
     (3,). ``jax.grad`` with respect to the scene's values gives the interior derivative only: what moving silhouettes
     and shadow edges add is missing.
 
@@ -125,8 +125,10 @@ def render(
     }
     moments = [_as_image(m, camera) for m in estimate.moments]
     between = estimate.between and [_as_image(m, camera) for m in estimate.between]
-    structure = jax.tree.structure(0)
-    return dataclasses.replace(estimate, moments=moments, tallies=further, between=between, structure=structure)
+    if filter is not None:
+        recipe = estimate.recipe | {"filter": repr(filter)}
+        estimate = dataclasses.replace(estimate, structure=jax.tree.structure(0), recipe=recipe, ratio=True)
+    return dataclasses.replace(estimate, moments=moments, tallies=further, between=between)
 
 
 def path_throughput(scene: Scene, camera: Camera, *, events, directions="cosine") -> Integrand:
