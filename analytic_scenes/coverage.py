@@ -1,8 +1,8 @@
 """Exact pixels under each filter: what a half-plane, a disk or an ellipse covers of one, and the outline of a sphere.
 
 Lengths are in pixels, places relative to the centre of the pixel unless said otherwise. A value is the integral of the
-filter over the shape, over that of the filter: the mean of a pixel whose picture is 1 inside the shape and 0 outside,
-away from the border of the image. With negative lobes it may lie outside of [0, 1].
+filter over the shape, over that of the filter: the mean of a pixel whose picture is 1 inside of the shape and 0
+outside, away from the border of the image. With negative lobes it may lie outside of [0, 1].
 
 One integral is done in closed form, by the integral of the profile along one axis. The other runs over smooth pieces
 between the breaks of the profiles, where Gauss-Legendre quadrature is exact for polynomials (box, tent and Mitchell
@@ -83,7 +83,7 @@ def _mitchell(filter: mc.MitchellFilter):
 
 
 def _antiderivative(coefficients, t):
-    return jnp.polyval(np.array([a / (k + 1) for k, a in enumerate(coefficients)][::-1] + [0.0]), t)
+    return jnp.polyval(np.array([*[a / (k + 1) for k, a in enumerate(coefficients)][::-1], 0.0]), t)
 
 
 @profile.register
@@ -126,8 +126,10 @@ def disk_coverage(filter, x, y, radius):
 
 
 def ellipse_coverage(filter, x, y, xx, xy, yy):
-    """Return what an ellipse about (x, y) covers of a pixel: all p with (p - center)^T S^-1 (p - center) < 1, where S is
-    the positive definite matrix [[xx, xy], [xy, yy]]; of a disk it is the square of the radius times the identity."""
+    """Return what an ellipse about (x, y) covers of a pixel: all p with (p - center)^T S^-1 (p - center) < 1.
+
+    S is the positive definite matrix [[xx, xy], [xy, yy]]; of a disk it is the square of the radius times the identity.
+    """
     f = profile(filter)
     width = jnp.sqrt(xx)
     tilt, height = xy / width, jnp.sqrt(yy - xy * xy / xx)

@@ -16,14 +16,18 @@ import numpy as np
 import jaxmc as mc
 from analytic_scenes import coverage, laws
 from analytic_scenes.lone_receiver import BLACK, closed_form_scene
+from analytic_scenes.scene import AnalyticScene
 from jaxmc.transport.filters import Filter
 
 DISTANCE = 8.0  # of the film, in pixels
+TENT, MITCHELL = mc.TentFilter(), mc.MitchellFilter()
 FAR = 64.0  # pixels: how far a half-plane reaches at least
 SOURCE = "Mitchell and Netravali, Reconstruction Filters in Computer Graphics (1988); "
 
 
-def half_plane_pixel(filter: Filter = mc.MitchellFilter(), angle: float = math.pi / 6, offset: float = 0.25):
+def half_plane_pixel(
+    filter: Filter = MITCHELL, angle: float = math.pi / 6, offset: float = 0.25
+) -> AnalyticScene:  # fmt: skip
     """Return a pixel under an edge: a bright sky where ``x cos(angle) + y sin(angle) < offset``, in pixels from the
     centre of the pixel, x to the right and y down; black beyond."""
     return _pixel_scene(
@@ -38,8 +42,8 @@ def half_plane_pixel(filter: Filter = mc.MitchellFilter(), angle: float = math.p
 
 
 def sphere_pixel(
-    filter: Filter = mc.TentFilter(), x: float = -1.3, y: float = 0.9, z: float = DISTANCE + 1.5, radius: float = 1.5
-):
+    filter: Filter = TENT, x: float = -1.3, y: float = 0.9, z: float = DISTANCE + 1.5, radius: float = 1.5
+) -> AnalyticScene:
     """Return a pixel at the outline of a sphere of radiance 1: an ellipse. The sphere is at (x, y, z) from the camera,
     to the right, down and ahead, in pixels at ``DISTANCE``."""
     scene = mc.Scene([mc.Sphere((x, -y, -z), radius, BLACK, emission=1.0)])
@@ -126,7 +130,7 @@ def _named(filter):
     ] + " filter"
 
 
-def default_scenes():
+def default_scenes() -> list[AnalyticScene]:
     """Return both pixels under every filter."""
-    filters = mc.BoxFilter(), mc.TentFilter(), mc.MitchellFilter(), mc.GaussianFilter()
+    filters = mc.BoxFilter(), TENT, MITCHELL, mc.GaussianFilter()
     return [make(filter) for make in (half_plane_pixel, sphere_pixel) for filter in filters]

@@ -34,9 +34,9 @@ def path_integrand(
 
     The first two coordinates are the film position (x, y) over the whole image, then come 2 to 5 for each scattering
     event; ``Integrand.labels`` names them. Where the camera has ``antialias=False`` the first two only choose the
-    pixel, and ``render``, which knows it, begins with the scattering events. The value is radiance, linear: a number for a grey scene, else RGB of shape
-    (3,). ``jax.grad`` with respect to the scene's values gives the interior derivative only: what moving silhouettes
-    and shadow edges add is missing.
+    pixel, and ``render``, which knows it, begins with the scattering events. The value is radiance, linear: a number
+    for a grey scene, else RGB of shape (3,). ``jax.grad`` with respect to the scene's values gives the interior
+    derivative only: what moving silhouettes and shadow edges add is missing.
 
     Args:
         scene: what is there.
