@@ -103,7 +103,7 @@ class Film:
     def reduce(self, splats, valid, axes):
         count = valid.sum(0)
         centers, largest, bad = _survey(splats.light, valid, count)
-        # Scale deviations and steps from pixel to pixel, or the squares of finite values overflow.
+        # Take deviations from one sample of the pixel, so that a constant has none. Scale them and the steps from pixel to pixel, or the squares of finite values overflow.
         inverse = jnp.where(largest > 0.0, 1.0 / largest, 0.0)
         deviations = [
             jnp.where(valid, light - c, 0.0) * inverse for light, c in zip(splats.light, centers, strict=True)
@@ -151,21 +151,19 @@ class Film:
 
 
 def _survey(lights, valid, count):
-    """Return about the mean of the samples of each pixel, finite in any case, shape (channels, pixels), the largest
-    finite absolute value, and how many values are not finite."""
-    rows = len(valid)
+    """Return the first sample of each pixel, 0 if it is not finite, shape (channels, pixels), the largest finite
+    absolute value, and how many values are not finite."""
 
     def add_row(r, found):
-        total, largest, bad = found
+        largest, bad = found
         light = jnp.where(valid[r], jnp.stack([light[r] for light in lights]), 0.0)
         finite = jnp.isfinite(light)
-        # Divide first: the sum of finite values may overflow.
-        total = total + jnp.where(finite, light, 0.0) * (1.0 / rows)
-        return total, jnp.maximum(largest, jnp.where(finite, jnp.abs(light), 0.0)), bad + ~finite
+        return jnp.maximum(largest, jnp.where(finite, jnp.abs(light), 0.0)), bad + ~finite
 
-    zero = jnp.zeros((len(lights), valid.shape[1]), lights[0].dtype)
-    total, largest, bad = lax.fori_loop(0, count.max(), add_row, (zero, zero, zero.astype(jnp.int32)))
-    return total * (rows / jnp.maximum(count, 1).astype(zero.dtype)), largest.max(), bad.sum()
+    first = jnp.stack([light[0] for light in lights])
+    start = jnp.zeros_like(first), jnp.zeros(first.shape, jnp.int32)
+    largest, bad = lax.fori_loop(0, count.max(), add_row, start)
+    return jnp.where(valid[0] & jnp.isfinite(first), first, 0.0), largest.max(), bad.sum()
 
 
 def _sums(weights_x, weights_y, deviations, count):
