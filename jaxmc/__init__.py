@@ -38,6 +38,10 @@ from .integration.techniques import Technique as Technique
 from .transport.areas import irradiance_by_areas as irradiance_by_areas
 from .transport.camera import PinholeCamera as PinholeCamera
 from .transport.debug import replay as replay
+from .transport.filters import BoxFilter as BoxFilter
+from .transport.filters import GaussianFilter as GaussianFilter
+from .transport.filters import MitchellFilter as MitchellFilter
+from .transport.filters import TentFilter as TentFilter
 from .transport.integrands import intersect as intersect
 from .transport.integrands import irradiance as irradiance
 from .transport.integrands import neumann_terms as neumann_terms

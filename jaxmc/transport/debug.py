@@ -123,9 +123,9 @@ def _replay(integrand, tables, seed, words, pixels, sampler):
     def one(words, pixel):
         scene, camera = integrand.params
         u = sampler.point(seed, Index(words[0], words[1]), *tables)
-        start = integrand.fn.start(u, scene, camera, pixel)
-        radiance, seen = trace(scene, integrand.fn.strategy, u, 2, start, observe)
-        direct, _ = trace(scene, integrand.fn.strategy.without_bounces(), u, 2, start)
+        start, first = integrand.fn.start(u, scene, camera, pixel), integrand.fn.first(camera, pixel)
+        radiance, seen = trace(scene, integrand.fn.strategy, u, first, start, observe)
+        direct, _ = trace(scene, integrand.fn.strategy.without_bounces(), u, first, start)
         value = jnp.stack(radiance) if isinstance(radiance, Vec3) else radiance
         return value, luminance(direct), seen
 
