@@ -63,8 +63,10 @@ class FilmSums:
     def _accumulate(self, where, center, sums):
         touched = self.touched[where]
         if not touched.all():
-            self.center[:, where] = np.where(touched, self.center[:, where], center)
-            self.touched[where] = True
+            # Leave alone what these sums do not reach: a constant keeps its own center, and so no error.
+            new = ~touched & (sums != 0.0).any(0)
+            self.center[:, where] = np.where(new, center, self.center[:, where])
+            self.touched[where] |= new
         start = 0
         for part in recentred(sums, center - self.center[:, where]):
             self.total[start : start + len(part), where] += part
