@@ -6,8 +6,8 @@ and 0 outside, away from the border of the image. With negative lobes it may lie
 
 One integral is done in closed form, by the integral of the profile along one axis. The other runs over smooth pieces
 between the breaks of the profiles, where Gauss-Legendre quadrature is exact for polynomials (box, tent and Mitchell
-filters under a half-plane) and converges to rounding for the rest. Derivatives, by ``jax.grad``, are those of the value,
-with the moving edge.
+filters under a half-plane) and converges to rounding for the rest. Derivatives, by ``jax.grad``, are those of the
+value, with the moving edge.
 """
 
 import functools
