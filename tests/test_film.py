@@ -388,7 +388,7 @@ def test_a_rendered_edge_is_exact(filter, edge, sampler, replicates):
     assert at_edge.sum() >= SIZE and error.max() < 0.06
     assert estimate.recipe["filter"] == repr(filter) and estimate.mean.shape == (SIZE, SIZE, 3)
     freedom = np.inf if replicates is None else replicates - 1
-    # An error below 1e-3 may be that of an edge that samples have hardly met. Under a box eight points of a randomisation
+    # An error below 1e-3 may be that of an edge that samples have hardly met. Under a box 8 points of a randomisation
     # may all miss what is covered in every one: then take the error of independent ones.
     floor = np.sqrt(np.clip(exact * (1.0 - exact), 0.0, None) / 128) if filter is BOX else 0.0
     bound = joint_sigmas(mean.size, freedom) * np.maximum(np.maximum(error, floor), 1e-3)
