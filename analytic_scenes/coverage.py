@@ -1,8 +1,8 @@
 """Exact pixels under each filter: what a half-plane, a disk or an ellipse covers of one, and the outline of a sphere.
 
 Lengths are in pixels, places relative to the centre of the pixel unless said otherwise. A value is the integral of
-the filter over the shape, divided by that of the filter: the mean of a pixel whose picture is 1 inside of the shape and
-0 outside, away from the border of the image. With negative lobes it may lie outside of [0, 1].
+the filter over the shape, divided by that of the filter: the mean of a pixel whose picture is 1 inside of the shape
+and 0 outside, away from the border of the image. With negative lobes it may lie outside of [0, 1].
 
 One integral is done in closed form, by the integral of the profile along one axis. The other runs over smooth pieces
 between the breaks of the profiles, where Gauss-Legendre quadrature is exact for polynomials (box, tent and Mitchell

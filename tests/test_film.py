@@ -321,7 +321,7 @@ def test_the_default_box_is_the_pixel_itself():
 
 def test_a_constant_has_no_error():
     estimate, mean, error = image(lambda x, y, u: jnp.full_like(x, 0.3), MITCHELL, 12, 9, 70)
-    assert np.all(mean == np.float32(0.3)) and np.all(error == 0.0) and estimate.status == "all samples equal"
+    assert np.all(mean == float(jnp.asarray(0.3))) and np.all(error == 0.0) and estimate.status == "all samples equal"
 
 
 def test_values_that_are_not_finite_spoil_what_they_reach_and_are_counted():
@@ -388,8 +388,10 @@ def test_a_rendered_edge_is_exact(filter, edge, sampler, replicates):
     assert at_edge.sum() >= SIZE and error.max() < 0.06
     assert estimate.recipe["filter"] == repr(filter) and estimate.mean.shape == (SIZE, SIZE, 3)
     freedom = np.inf if replicates is None else replicates - 1
-    # An error below 1e-3 may be that of an edge that samples have hardly met.
-    bound = joint_sigmas(mean.size, freedom) * np.maximum(error, 1e-3)
+    # An error below 1e-3 may be that of an edge that samples have hardly met. Under a box 8 points of a randomisation
+    # may all miss what is covered in every one: then take the error of independent ones.
+    floor = np.sqrt(np.clip(exact * (1.0 - exact), 0.0, None) / 128) if filter is BOX else 0.0
+    bound = joint_sigmas(mean.size, freedom) * np.maximum(np.maximum(error, floor), 1e-3)
     assert np.all(np.abs(mean - exact) <= bound)
     z = (mean - exact)[at_edge] / error[at_edge]
     assert 0.7 < z.std() < 1.4

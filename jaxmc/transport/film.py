@@ -103,8 +103,8 @@ class Film:
     def reduce(self, splats, valid, axes):
         count = valid.sum(0)
         centers, largest, bad = _survey(splats.light, valid, count)
-        # Take deviations from one sample of the pixel, so that a constant has none. Scale them, and the steps from pixel
-        # to pixel, or the squares of finite values overflow.
+        # Take deviations from one sample of the pixel, so that a constant has none. Scale them, and the steps from
+        # pixel to pixel, or the squares of finite values overflow.
         inverse = jnp.where(largest > 0.0, 1.0 / largest, 0.0)
         deviations = [
             jnp.where(valid, light - c, 0.0) * inverse for light, c in zip(splats.light, centers, strict=True)

@@ -203,12 +203,15 @@ class Film:
             x, y = u[0] * camera.width, u[1] * camera.height
             if not camera.antialias:
                 # Rounding up may lead to the pixel behind the last one.
-                x, y = jnp.minimum(jnp.floor(x), camera.width - 1), jnp.minimum(jnp.floor(y), camera.height - 1)
+                x = jnp.minimum(jnp.floor(x), camera.width - 1) + 0.5
+                y = jnp.minimum(jnp.floor(y), camera.height - 1) + 0.5
+            first = camera.ray(x, y)
         else:
-            x, y = (pixel % camera.width).astype(float), (pixel // camera.width).astype(float)
+            column, row = pixel % camera.width, pixel // camera.width
             if camera.antialias:
-                x, y = x + u[0], y + u[1]
-        first = camera.ray(x, y) if camera.antialias else camera.ray(x + 0.5, y + 0.5)
+                first = camera.ray(column.astype(float) + u[0], row.astype(float) + u[1])
+            else:
+                first = camera.ray(column.astype(float) + 0.5, row.astype(float) + 0.5)
         return approach(scene, first)[0] if self.far else first
 
     def __call__(self, u, scene, camera, pixel=None):
