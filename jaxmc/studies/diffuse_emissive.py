@@ -126,7 +126,7 @@ def _show_hits(report, measured):
         "v = L / p on average, where L is the direct light. That alone makes a variance of v^2 p (1 - p), or "
         "L^2 (1 - p) / p: a small light is rarely met, and each time worth much. The rest of the variance is the angle "
         "at which it is met. The orb under the sky is met as rarely as in the dark and makes as much variance; but the "
-        "sky, which most rays meet, adds light and hardly any noise, so that the same variance is small beside the mean."
+        "sky, which most rays meet, adds light and hardly any noise, so that this is small beside the mean."
     )
     count = len(measured)
     fig, axes = plot.panels(2 * count, count, (2.8, 2.4))

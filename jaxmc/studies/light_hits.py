@@ -58,7 +58,7 @@ def variance_from_hits(parts) -> np.ndarray:
 
 
 def reflects(scene, camera) -> np.ndarray:
-    """Return in which pixels, shape (height, width), the camera sees a surface that is no light, there and next to it."""
+    """Return in which pixels, shape (height, width), the camera sees a surface that is no light, even next to them."""
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
     s, t = 2.0 * x.ravel() / camera.width - 1.0, 2.0 * y.ravel() / camera.height - 1.0
     directions = camera.forward + camera.right * s + camera.down * t
