@@ -171,7 +171,9 @@ def _halves(quad):
     return [Triangle(*three, quad.material, quad.emission) for three in corners]
 
 
-def many_spheres(count, seed=0) -> Scene:
-    """Return ``count`` diffuse spheres of one size at random places in the unit cube; they may overlap."""
+def many_spheres(count, width=128, height=128, seed=0) -> tuple[Scene, Camera]:
+    """Return ``count`` diffuse spheres of one size at random places in the unit cube, under a grey sky; some overlap."""
     centers = np.random.default_rng(seed).uniform(0.1, 0.9, (count, 3))
-    return Scene([Sphere(center, 0.3 / count ** (1 / 3), Diffuse(0.5)) for center in centers])
+    spheres = [Sphere(center, 0.3 / count ** (1 / 3), Diffuse(0.5)) for center in centers]
+    camera = PinholeCamera((0.5, 0.5, 2.5), (0.5, 0.5, 0.5), fov=40, width=width, height=height)
+    return Scene(spheres, sky=1.0), camera
