@@ -20,11 +20,11 @@ def tone_map(image, exposure=1.0):
     return shown
 
 
-def images(pictures, columns=2, exposure=1.0):
-    """Return a figure of tone-mapped linear images, by title."""
+def images(pictures, columns=2, exposure=1.0, width=4.2):
+    """Return a figure of tone-mapped linear images, by title; ``width`` of each in inches."""
     rows = -(-len(pictures) // columns)
-    height, width = next(iter(pictures.values())).shape[:2]
-    size = (4.2 * columns, (4.2 * height / width + 0.35) * rows)
+    high, wide = next(iter(pictures.values())).shape[:2]
+    size = (width * columns, (width * high / wide + 0.35) * rows)
     fig, axes = plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained")
     for ax in axes.flat:
         ax.axis("off")
