@@ -175,23 +175,24 @@ def _show_scene(report, settings, stages, name, make, number):
         )  # fmt: skip
         found[size] = share
         if k % 2 == 0:
-            pictures[f"size {size:g}: what is there"] = truth
-            pictures[f"size {size:g}: paths, {settings.spp} spp"] = light
-    exposure = 1.0 / float(np.quantile(next(iter(pictures.values())), 0.98))
+            exposure = 1.0 / float(np.quantile(truth, 0.99))
+            pictures[f"size {size:g}: what is there"] = exposure * truth
+            pictures[f"size {size:g}: paths, {settings.spp} spp"] = exposure * light
     shown = {title: np.repeat(np.asarray(p)[..., None], 3, -1).clip(min=0.0) for title, p in pictures.items()}
     caption = (
         f"The caustic of a {name} on the floor under it, direct light taken off. Left by photons, right by paths with "
-        "light sampling (MIS), at the same exposure. The smaller the light, the sharper the caustic, and the fewer "
+        "light sampling (MIS), each row at one exposure. The smaller the light, the sharper the caustic, and the fewer "
         "pixels find any of it; those that do are too bright by far."
     )
-    report.figure(plot.images(shown, columns=2, exposure=exposure), name.replace(" ", "_"), caption)
+    report.figure(plot.images(shown, columns=2), name.replace(" ", "_"), caption)
     headers = [
         "size", "paths / photons in the caustic", "z", "share of its light found", "one pixel: mean / photons",
         "relative variance", "kurtosis", "k-hat", "status", "tail",
     ]  # fmt: skip
     caption = (
         f"The caustic: the brightest pixels that hold half of its light, {settings.spp} samples each. Its share "
-        f"that is found: of pixels with at least half of what is there. One pixel, the brightest: {settings.samples:,} samples."
+        f"that is found: of pixels with at least half of what is there. One pixel, the brightest: "
+        f"{settings.samples:,} samples."
     )
     report.table(headers, rows, caption)
     report.value(f"{name}: share of the caustic found", {f"{size:g}": share for size, share in found.items()})

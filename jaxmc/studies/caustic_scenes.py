@@ -69,7 +69,7 @@ def curved_mirror(size, width=64) -> CausticScene:
     corners = np.stack([np.cos(edges), np.sin(edges), 0.0 * edges], -1)
     wall = [Quad(a, b - a, (0.0, 0.0, 0.5), Mirror(0.95)) for a, b in itertools.pairwise(corners)]
     aim = (-0.2, -1.02, 0.0), (0.0, 2.04, 0.0), (0.0, 0.0, 1.2)
-    return _caustic(wall, (-2.2, 0.3, 1.6), size, aim, ((0.25, 0.0), 1.2), 2.5, 3, width)
+    return _caustic(wall, (-2.2, 0.3, 1.6), size, aim, ((0.25, 0.0), 1.2), 2.5, 4, width)
 
 
 def _caustic(specular, place, size, aim, window, eye, bounces, width):
@@ -85,13 +85,14 @@ def _caustic(specular, place, size, aim, window, eye, bounces, width):
     return CausticScene(Scene([floor, *specular, light]), camera, (place, radius), aim, window, bounces)
 
 
-def photons(caustic: CausticScene, events=6) -> Integrand:
+def photons(caustic: CausticScene) -> Integrand:
     """Return where a photon lands on the floor after at least one mirror or glass, and its flux: (x, y, flux), flux 0
     where it does not.
 
     It starts on the light, uniformly by area, and passes a uniform point of ``aim``: four coordinates, then two for
-    each of ``events``.
+    each event. It meets as many surfaces as the light of a path of ``bounces`` events does before the floor.
     """
+    events = caustic.bounces - 1
     labels = ("light: first", "light: second", "aim: first", "aim: second")
     labels += tuple(f"event {k + 1}: {word}" for k in range(events) for word in ("polar", "azimuth"))
     given = caustic.scene, caustic.light, tuple(np.asarray(v, float) for v in caustic.aim)

@@ -91,7 +91,7 @@ def run(folder, settings: Settings = Settings()) -> Path:
     """Run the study and return the path of its ``report.html``; raises ``ValueError`` without exact values."""
     exact_pixel = exact_function("open_pixel_under_sphere")
     report = Report(folder, "Two nested integrals or one flat one", seed=settings.seed)
-    pixels = settings.width * settings.width
+    pixels = (settings.width // 2) ** 2
     total = settings.replicates * (2 * 2 * len(DIRECTIONS) * settings.rays + 4 * sum(settings.ladder))
     total += 3 * pixels * 32 + len(BRANCHES) * settings.replicates * settings.rays
     with Stages(total, settings.progress) as stages:
@@ -197,7 +197,8 @@ def _show_errors(report, settings, stages, exact_pixel):
 
 
 def _show_pictures(report, settings, stages):
-    camera = PinholeCamera((0.0, 0.6, 3.2), (0.0, -0.45, -0.4), fov=34, width=settings.width, height=settings.width)
+    width = settings.width // 2  # large pixels show their edges
+    camera = PinholeCamera((0.0, 0.6, 3.2), (0.0, -0.45, -0.4), fov=34, width=width, height=width)
     pictures = {}
     for k, (n, directions) in enumerate(((16, 1), (4, 7), (1, 31))):
         integrand = gathered_occlusion(_opened(), camera, directions)
