@@ -210,6 +210,28 @@ def rates(ax, x, curves, least, xlabel, ylabel):
     ax.grid(alpha=0.3)
 
 
+def law(ax, x, curves, xlabel, ylabel, logx=True):
+    """Draw what was measured (dots) beside what a law says (lines); ``curves``: label -> (measured, law or None)."""
+    for label, (measured, exact) in curves.items():
+        (dots,) = ax.plot(x, measured, "o", ms=4.5, label=label)
+        if exact is None:
+            ax.plot(x, measured, color=dots.get_color(), lw=0.8, alpha=0.7)
+        else:
+            ax.plot(x, exact, color=dots.get_color(), lw=1.2)
+    ax.set(xscale="log" if logx else "linear", yscale="log", xlabel=xlabel, ylabel=ylabel)
+    ax.legend(fontsize=8)
+    ax.grid(alpha=0.3)
+
+
+def bars(ax, labels, values, xlabel, log=True):
+    """Draw a number for each label, the first one on top."""
+    ax.barh(labels, values, color="#08519c", height=0.7)
+    ax.invert_yaxis()
+    ax.set(xscale="log" if log else "linear", xlabel=xlabel)
+    ax.tick_params(axis="y", labelsize=8)
+    ax.grid(alpha=0.3, axis="x")
+
+
 OWN_COLORS = {
     "Independent": "#08519c", "Sobol": "#d95f02", "Lattice": "#1b9e77", "Halton": "#7570b3",
     "LatinHypercube": "#e7298a", "Stratified": "#a6761d",
