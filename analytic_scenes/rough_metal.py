@@ -93,5 +93,11 @@ def _law(moment, scale, directions, **arguments):
     """Return the law of ``scale`` times the weight of sampling visible normals."""
     if directions != "bsdf":
         return None
-    moments = [scale**k * value_of(functools.partial(moment, power=k), arguments) for k in (1, 2, 3, 4)]
+    moments = [scale**k * value_of(_power(moment, k), arguments) for k in (1, 2, 3, 4)]
     return Law(*variance_and_kurtosis(moments))
+
+
+@functools.cache
+def _power(moment, k):
+    """Return the same function for the same arguments, which is then compiled once."""
+    return functools.partial(moment, power=k)

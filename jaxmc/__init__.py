@@ -40,6 +40,10 @@ from .transport.areas import irradiance_by_areas as irradiance_by_areas
 from .transport.camera import PinholeCamera as PinholeCamera
 from .transport.debug import replay as replay
 from .transport.debug import sample_index as sample_index
+from .transport.filters import BoxFilter as BoxFilter
+from .transport.filters import GaussianFilter as GaussianFilter
+from .transport.filters import MitchellFilter as MitchellFilter
+from .transport.filters import TentFilter as TentFilter
 from .transport.integrands import intersect as intersect
 from .transport.integrands import irradiance as irradiance
 from .transport.integrands import neumann_terms as neumann_terms

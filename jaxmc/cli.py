@@ -7,7 +7,7 @@ from importlib import metadata
 from . import __version__, bench, render_command
 from .known import COMMANDS, collection
 from .render_command import seed as _seed
-from .studies import calibration, mirror_box, sparkles, stability
+from .studies import calibration, caustic, flat_vs_nested, light_sampling, mirror_box, sparkles, stability
 
 
 def main(arguments=None) -> int:
@@ -51,7 +51,18 @@ def _parser():
         help="scenes whose bias is measured, as module:name (default: those that `jaxmc scenes` lists)",
     )
     stable.set_defaults(run=_study_stability)
+    flat = study.add_parser("flat-vs-nested", help="two nested integrals, or one flat one; recursion that branches")
+    flat.add_argument("--rays", type=int, default=4096, help="rays of one estimate, a power of two (default 2^12)")
+    flat.set_defaults(run=_study_flat_vs_nested)
+    sampling = study.add_parser("light-sampling", help="how paths find light: every strategy beside exact values")
+    sampling.add_argument("--samples", type=int, default=1 << 20, help="samples of one estimate (default 2^20)")
+    sampling.set_defaults(run=_study_light_sampling)
+    small_light = study.add_parser("caustic", help="a caustic of a small light, which no local sampler finds")
+    small_light.add_argument("--spp", type=int, default=256, help="samples per pixel of the pictures (default 256)")
+    small_light.add_argument("--samples", type=int, default=1 << 22, help="samples of one point (default 2^22)")
+    small_light.set_defaults(run=_study_caustic)
     studies = {"mirror-box": mirror, "sparkles": sparkle, "calibration": calibrate, "stability": stable}
+    studies |= {"flat-vs-nested": flat, "light-sampling": sampling, "caustic": small_light}
     for name, command in studies.items():
         command.add_argument("--out", default=f"out/{name}", help=f"folder of the report (default out/{name})")
         command.add_argument("--seed", type=int, default=0, help="seed (default 0)")
@@ -101,6 +112,26 @@ def _study_stability(options):
         events=options.events, scenes=options.scenes, seed=_seed(options), progress=not options.quiet
     )
     print(f"report: {stability.run(options.out, settings)}")
+    return 0
+
+
+def _study_flat_vs_nested(options):
+    settings = flat_vs_nested.Settings(rays=options.rays, seed=_seed(options), progress=not options.quiet)
+    print(f"report: {flat_vs_nested.run(options.out, settings)}")
+    return 0
+
+
+def _study_light_sampling(options):
+    settings = light_sampling.Settings(samples=options.samples, seed=_seed(options), progress=not options.quiet)
+    print(f"report: {light_sampling.run(options.out, settings)}")
+    return 0
+
+
+def _study_caustic(options):
+    settings = caustic.Settings(
+        spp=options.spp, samples=options.samples, seed=_seed(options), progress=not options.quiet
+    )
+    print(f"report: {caustic.run(options.out, settings)}")
     return 0
 
 

@@ -55,7 +55,11 @@ def test_right_intervals_hold(normal):
     assert normal.claims == normal.replicates == 400 and normal.refused == {} and normal.n == 1000
     for value, truth in ((normal.ratio, 1.0), (normal.bias, 0.0)):
         assert abs(value[0] - truth) < 5 * value[1] < 0.3
-    assert normal.methods == ("normal",) and normal.z.std() == pytest.approx(1.0, abs=0.2) and normal.dof == np.inf
+    assert (
+        normal.methods == ("corrected for skewness",)
+        and normal.z.std() == pytest.approx(1.0, abs=0.2)
+        and normal.dof == np.inf
+    )
 
 
 @pytest.mark.parametrize("run", [independent, replicated])
@@ -68,7 +72,9 @@ def test_a_wrong_error_bar_is_found_out(run, factor, status):
 
 
 def test_replicates_follow_student():
-    result = coverage(replicated, 1.0, replicates=150, methods=(None, "median of means", bounded))
+    result = coverage(
+        replicated, 1.0, replicates=150, methods=("student-t over replicates", "median of means", bounded)
+    )
     assert result.status() == "holds" and result.dof == 15
     assert result.methods == ("student-t over replicates", "median of means", "bounded")
     # For any law: it cannot be too short, and is far too long.
@@ -86,12 +92,43 @@ def test_a_biased_estimate_is_too_short():
     assert result.status() == "too short" and bias < -5 * error
 
 
-@pytest.mark.parametrize("case", [0, 1, 2, 4])  # the product of 10 weights, 3, is refused now and then
+@pytest.mark.parametrize("case", range(len(calibration.HEAVY)))
 def test_heavy_tails_are_refused(case, installed):
     (problem,) = calibration.problems(calibration.HEAVY[case : case + 1])
     result = coverage(lambda key: mc.integrate(problem.integrand, n=4096, key=key), problem.exact, replicates=40)
     assert result.refused["tail too heavy"] > 0.3
     assert result.claims + result.refusals["tail too heavy"] == 40
+
+
+@pytest.mark.parametrize("sampler", calibration.SAMPLERS[: calibration.FIRST], ids=calibration._name)
+def test_light_tails_are_not_refused(sampler, installed):
+    # The most skew of them: its skewness^2 is n / 1000.
+    (problem,) = calibration.problems(calibration.LIGHT[:1])
+    runs = (mc.integrate(problem.integrand, n=4096, key=key, sampler=sampler) for key in range(100))
+    assert not any(estimate.heavy for estimate in runs)
+
+
+SHORT = calibration.LIGHT[6], calibration.LIGHT[10]  # lattices at an edge of light: their means take few values
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", SHORT, ids=lambda case: case[0])
+def test_skew_means_of_lattices_are_covered(case, installed):
+    (problem,) = calibration.problems([case])
+    methods = (None, "student-t over replicates")
+    result = coverage(lambda key: mc.integrate(problem.integrand, n=4096, key=key, sampler=mc.Lattice()),
+                      problem.exact, replicates=4000, levels=(0.95,), methods=methods)  # fmt: skip
+    (corrected,), (plain,) = result.covered
+    assert 0.935 < corrected < 0.965 and plain < corrected - 0.005 and not result.refusals
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sampler", calibration.SAMPLERS[: calibration.FIRST], ids=calibration._name)
+def test_the_product_of_ten_weights_is_refused_mostly(sampler, installed):
+    (problem,) = calibration.problems(calibration.HEAVY[3:4])
+    result = coverage(lambda key: mc.integrate(problem.integrand, n=4096, key=key, sampler=sampler), problem.exact,
+                      replicates=1000)  # fmt: skip
+    assert result.status() == "refuses"
 
 
 def test_values_that_are_not_finite_are_refused():

@@ -825,7 +825,7 @@ def test_estimates_speak(whole):
     assert whole.recipe == {"key": 0, "sampler": "Independent()", "n": N} and whole.seconds > 0.0
     image = dataclasses.replace(whole, moments=[m._replace(mean=np.ones((5, 3))) for m in whole.moments[:1]])
     assert str(image) == "array(5, 3) of mean 1"
-    lower, upper = whole.interval(0.95)
+    lower, upper = whole.interval(0.95, "normal")
     assert upper["a"] - whole.mean["a"] == pytest.approx(1.959964 * whole.stderr["a"], rel=1e-6)
     assert whole.mean["b"] - lower["b"] == pytest.approx(1.959964 * whole.stderr["b"], rel=1e-6)
     with pytest.raises(KeyError):

@@ -1,16 +1,20 @@
 """Intervals, replicates and stopping: what is claimed of an error must be true."""
 
 import copy
+import dataclasses
 import math
 import pickle
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
 
 import jaxmc as mc
-from jaxmc.integration import stopping
+from jaxmc.integration import intervals, stopping
+from jaxmc.integration.estimate import Estimate
+from jaxmc.integration.moments import MomentsResult, pool
 from jaxmc.testing import SIGMAS
 
 
@@ -51,7 +55,7 @@ def test_the_error_bar_is_that_of_the_replicates(sampler):
     assert means.shape == (16,) and estimate.n == 16 * 256
     assert estimate.mean == pytest.approx(means.mean(), rel=1e-12)
     assert estimate.stderr == pytest.approx(means.std(ddof=1) / 4.0, rel=1e-9)
-    lower, upper = interval = estimate.interval(0.9)
+    lower, upper = interval = estimate.interval(0.9, "student-t over replicates")
     assert interval.method == "student-t over replicates"
     assert upper - lower == pytest.approx(2.0 * stats.t.isf(0.05, 15) * estimate.stderr)
 
@@ -133,6 +137,121 @@ def test_intervals_keep_the_shape_of_the_value():
         lower, upper = estimate.interval(method=method)
         assert isinstance(lower["a"], float) and upper["b"].shape == (2,)
         assert lower["a"] <= 0.5 <= upper["a"] and (lower["b"] <= upper["b"]).all()
+
+
+# The correction for skewness, on many estimates at once: each column is one, each row a replicate.
+
+RUNS = 40_000
+
+
+def claims(means):
+    """Return estimates from means of shape (replicates, runs), as one estimate of a vector."""
+    count, runs = means.shape
+    record = MomentsResult(np.ones_like(means), means, [np.zeros_like(means)] * 3, 0)
+    pooled, between = pool(record)
+    structure = jax.tree.structure(0)
+    return Estimate([pooled], count * runs, {}, 0.0, {"replicates": count}, structure, [between], [means])
+
+
+def share(means, exact, method=None, level=0.95):
+    lower, upper = claims(means).interval(level, method)
+    return np.mean((lower <= exact) & (exact <= upper))
+
+
+def choice(values, weights):
+    """Return a law on a few values: its sampler and its mean."""
+    weights = np.array(weights) / np.sum(weights)
+    return lambda random, shape: random.choice(values, shape, p=weights), np.dot(values, weights)
+
+
+# What means of lattices over a set take (a sphere in a mirror; a rectangle cut by the horizon), and other laws.
+AT_AN_EDGE = choice(np.arange(6.0), [289, 444, 99, 101, 64, 1])
+CUT = choice(np.arange(5.0), [29, 110, 363, 481, 17])
+TWO_VALUED = choice(np.arange(2.0), [4, 1])
+TWO_HUMPS = (lambda random, shape: np.sign(random.random(shape) - 0.5) + 0.3 * random.normal(size=shape), 0.0)
+LAWS = {
+    "normal": (lambda random, shape: random.normal(size=shape), 0.0),
+    "uniform": (lambda random, shape: random.random(shape), 0.5),
+    "gamma": (lambda random, shape: random.gamma(4.0, size=shape), 4.0),
+    "Laplace": (lambda random, shape: random.laplace(size=shape), 0.0),
+    "two humps": TWO_HUMPS,
+    "lattice at an edge": AT_AN_EDGE,
+    "lattice, cut": CUT,
+    "two values": TWO_VALUED,
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("replicates", [16, 32])
+def test_corrected_intervals_cover_for_many_laws(name, replicates):
+    draw, exact = LAWS[name]
+    means = draw(np.random.default_rng(replicates), (replicates, RUNS))
+    assert 0.935 < share(means, exact) < 0.971 - 0.005 * (name != "two values")
+
+
+@pytest.mark.parametrize(("law", "most"), [(AT_AN_EDGE, 0.935), (CUT, 0.936), (TWO_VALUED, 0.87)])
+def test_intervals_that_take_no_skewness_into_account_are_too_short(law, most):
+    # The mutant: Student's t as it is.
+    draw, exact = law
+    means = draw(np.random.default_rng(1), (16, RUNS))
+    plain, corrected = (share(means, exact, method) for method in ("student-t over replicates", None))
+    assert plain < most and plain + 0.005 < corrected
+
+
+def test_a_correction_that_trusts_its_skewness_is_too_long(monkeypatch):
+    # The mutant: the whole correction, though the noise of the skewness goes against that of the mean.
+    monkeypatch.setattr(intervals, "NOISE", 0.0)
+    draw, exact = TWO_HUMPS
+    assert share(draw(np.random.default_rng(1), (16, RUNS)), exact) > 0.97
+
+
+def test_a_correction_to_the_wrong_side_is_too_short(monkeypatch):
+    right = intervals._lean
+    monkeypatch.setattr(intervals, "_lean", lambda m: -right(m))
+    draw, exact = AT_AN_EDGE
+    assert share(draw(np.random.default_rng(1), (16, RUNS)), exact) < 0.93
+
+
+@pytest.mark.parametrize("lean", [-2.0, -0.2, 0.0, 1e-12, 0.3, 1.5])
+def test_the_transform_is_inverted(lean):
+    q = np.linspace(-6.0, 6.0, 25)
+    x = intervals._upright(q, lean)
+    assert np.allclose(x + lean * x**2 / 3.0 + lean**2 * x**3 / 27.0 + lean / 6.0, q, atol=1e-12)
+    assert np.all(np.diff(x) > 0.0) and np.allclose(intervals._upright(-q, -lean), -x, atol=1e-14)
+
+
+def test_the_corrected_interval_follows_unit_and_sign():
+    means = np.random.default_rng(5).exponential(size=(16, 50))
+    (lower, upper), (low, up) = (claims(x).interval(0.9) for x in (means, 7.0 - 3.0 * means))
+    assert np.allclose(low, 7.0 - 3.0 * upper) and np.allclose(up, 7.0 - 3.0 * lower)
+    (half,) = claims(means).half_widths(0.9)
+    assert np.allclose(half, (upper - lower) / 2.0)
+    # Means with a tail to the right are too low when it was not met: more room above.
+    skew = stats.skew(means) > 1.0
+    assert skew.any() and np.all((upper + lower - 2.0 * means.mean(0))[skew] > 0.0)
+
+
+def test_the_correction_knows_skewness_and_kurtosis_of_the_replicates():
+    estimate = mc.integrate(SMOOTH, n=4096, sampler=mc.Sobol(), key=3)
+    (means,), (between,) = estimate.replicate_means, estimate.between
+    assert between.skewness == pytest.approx(stats.skew(means), rel=1e-6)
+    assert between.kurtosis == pytest.approx(stats.kurtosis(means) + 3.0, rel=1e-6)
+
+
+def test_plain_intervals_stand_in_where_skewness_is_not_known():
+    f = mc.Integrand(lambda u, item: u[0] + item, 1)
+    pixels = mc.integrate_each(f, 5, n=64, sampler=mc.Sobol(), replicates=8)
+    means = np.random.default_rng(1).random((8, 5))
+    for estimate in (pixels, claims(means[:7])):
+        assert estimate.interval().method == "student-t over replicates"
+    assert claims(means).interval().method == "corrected for skewness"
+    independent = dataclasses.replace(pixels, between=None)
+    assert independent.interval().method == "normal"
+
+
+def test_where_nothing_varies_the_interval_is_a_point():
+    lower, upper = claims(np.full((16, 3), 0.5)).interval()
+    assert np.array_equal(lower, [0.5] * 3) and np.array_equal(upper, lower)
 
 
 MISTAKES = [

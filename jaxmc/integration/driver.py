@@ -75,7 +75,7 @@ def integrate(
 
 def integrate_each(
     f: Integrand, items: int, *, n, key=0, sampler=Independent(), replicates=None, tallies=None, progress=None,
-    workers=None, chunk=None,
+    workers=None, chunk=None, kept=Moments(order=2),
 ) -> Estimate:  # fmt: skip
     """Estimate a family of integrals, ``n`` samples each: an image is one integral for each pixel.
 
@@ -83,19 +83,22 @@ def integrate_each(
     has index ``s * items + i`` for independent points. For others its low word is s, counted in each randomisation, and
     its high word is ``r * items + i`` for randomisation r. Moments have a leading axis of length ``items``; tallies
     that are pooled run over all samples of all items. Arguments and errors otherwise as in ``integrate``.
+
+    ``kept`` is the tally that mean and error come from: ``Moments``, or one whose state is a list of sums such as those
+    of ``Moments``, which may let a sample count in more than one item.
     """
-    n, run = positive("n", n), family_run(f, items, key, sampler, replicates, tallies, workers, chunk)
+    n, run = positive("n", n), family_run(f, items, key, sampler, replicates, tallies, workers, chunk, kept)
     with Progress(progress, run.total(n)) as bar:
         return run.family(n, bar)
 
 
-def family_run(f, items, key, sampler, replicates, tallies, workers, chunk) -> "Run":
+def family_run(f, items, key, sampler, replicates, tallies, workers, chunk, kept=Moments(order=2)) -> "Run":
     """Return the run of a family of integrals before its first sample; arguments as in ``integrate_each``."""
     f, items = as_integrand(f), positive("items", items)
     replicates = _replicates(replicates, sampler, REPLICATES_EACH)
     lanes = lanes_for(items)
     blocks = min(_blocks(chunk), -(-items // lanes))
-    return Run(f, key, sampler, replicates, tallies, workers, blocks, ROWS, items, lanes)
+    return Run(f, key, sampler, replicates, tallies, workers, blocks, kept=kept, items=items, lanes=lanes)
 
 
 def _blocks(chunk):
@@ -127,7 +130,8 @@ class Run:
     """
 
     def __init__(
-        self, integrand, key, sampler, replicates, tallies, workers, blocks, rows=ROWS, items=None, lanes=None
+        self, integrand, key, sampler, replicates, tallies, workers, blocks, rows=ROWS, kept=Moments(), items=None,
+        lanes=None,
     ):  # fmt: skip
         backend.check_arithmetic()
         if "moments" in (tallies or {}):
@@ -135,7 +139,7 @@ class Run:
         self.started = time.perf_counter()
         self.integrand, self.sampler, self.replicates = jax.tree.map(_as_array, integrand), sampler, replicates
         self.key, self.seed = key, seed_words(key)
-        self.tallies = {"moments": Moments(order=2 if items else 4), **(tallies or {})}
+        self.tallies = {"moments": kept, **(tallies or {})}
         self.workers, self.blocks, self.rows = workers or backend.workers(), blocks, rows
         self.items, self.lanes = items, lanes
         self.apart = "moments" if replicates else None  # the tally whose state each replicate has for itself
@@ -239,12 +243,12 @@ class Run:
 
     def _fold(self, name, tally, record, job):
         state = self.states[name]
+        if self.spread and name == self.apart:
+            self.spread.begin(job.replicate[0])
         if tally.pooled:
             extra = {"index": job.index} if "value" in record else {}
             tally.add(state, record, **extra)
         elif self.items:
-            if name == self.apart and self.spread:
-                self.spread.begin(job.replicate[0])
             # Lanes are integrals: drop the lanes behind the last one.
             count = len(range(*job.items.indices(self.items)))
             flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], record)

@@ -11,8 +11,10 @@ from . import intervals
 from .intervals import Interval
 from .moments import MomentsResult
 
-TOO_SKEW = 25.0  # Cochran's rule: the mean of n samples is near normal if n exceeds 25 skewness^2
-TOO_PEAKED = 0.1  # share of the sum of fourth powers in the squared sum of squares: few samples make the variance
+# Cochran's rule says that the mean of n samples is near normal if n exceeds 25 skewness^2. That is the skewness of the
+# law; that of samples is mostly smaller, and the smaller, the lower their mean. So ask for twice as many.
+TOO_SKEW = 50.0
+TOO_PEAKED = 0.05  # share of the sum of fourth powers in the squared sum of squares: few samples make the variance
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,6 +30,7 @@ class Estimate:
         between: moments of the means of independent randomisations; None where the samples are independent.
         replicate_means: those means, shape (R, ...) for each leaf; None for a family of integrals.
         reached: whether the target was met; None where there was none.
+        ratio: whether it is a ratio of sums, such as a pixel with a filter: then no interval follows from bounds.
     """
 
     moments: list[MomentsResult]
@@ -39,6 +42,7 @@ class Estimate:
     between: list[MomentsResult] | None = None
     replicate_means: list[np.ndarray] | None = None
     reached: bool | None = None
+    ratio: bool = False
 
     def __getitem__(self, name):
         return self.tallies[name]
@@ -73,8 +77,8 @@ class Estimate:
 
     @property
     def heavy(self) -> bool:
-        """Whether few samples carry so much of the variance that no interval can be trusted: skewness^2 above n / 25,
-        or kurtosis above n / 10, for some component. False for images, which keep no third moments."""
+        """Whether few samples carry so much of the variance that no interval can be trusted: skewness^2 above n / 50,
+        or kurtosis above n / 20, for some component. False for images, which keep no third moments."""
         return any(np.any(heavy_tail(m)) for m in self.moments)
 
     @property
@@ -95,9 +99,12 @@ class Estimate:
 
         Args:
             level: probability of covering the truth.
-            method: None picks what is valid: ``"bounded"`` where bounds are given, else ``"student-t over replicates"``
-                for randomised points, ``"normal"`` for independent samples. With replicates one can also ask for
-                ``"median of means"``, which outliers do not move, and ``"bootstrap-t"``, for skew means.
+            method: None picks what is valid: ``"bounded"`` where bounds are given, else ``"corrected for skewness"``:
+                the interval of ``"student-t over replicates"`` for randomised points, of ``"normal"`` for independent
+                samples, bent by Hall's transform where the law of the mean leans. These two can be asked for as they
+                are, and stand in where there are no moments of order 3 and 4 (images), or fewer than 8 replicates or
+                samples. With replicates one can also ask for ``"median of means"``, which outliers do not move, and
+                ``"bootstrap-t"``.
             bounds: numbers (a, b) between which all values of the integrand lie. The interval then holds for any
                 number of samples and any law (empirical Bernstein bound, Maurer and Pontil 2009).
 
@@ -108,8 +115,8 @@ class Estimate:
         return intervals.interval(self, level, method, bounds)
 
     def half_widths(self, level: float) -> list[np.ndarray]:
-        """Return half the width of the default interval for each leaf."""
-        return [intervals.quantile(self, level) * error for error in self._stderrs()]
+        """Return half the width of the default interval for each leaf, the mean of both its sides."""
+        return intervals.half_widths(self, level)
 
     def summary(self) -> str:
         """Return mean, error, samples, time and status in a few lines."""
@@ -136,10 +143,7 @@ def heavy_tail(m: MomentsResult):
     False where the moments of order 3 and 4 that tell it were not kept."""
     if len(m.central) < 3:
         return np.zeros(np.shape(m.mean), bool)
-    second, third, fourth = m.central
-    with np.errstate(all="ignore"):
-        skew, kurtosis = third**2 / second**3, fourth / second**2
-        return (skew > m.n / TOO_SKEW) | (kurtosis > m.n * TOO_PEAKED)
+    return (m.skewness**2 > m.n / TOO_SKEW) | (m.kurtosis > m.n * TOO_PEAKED)
 
 
 def with_error(value: float, error: float) -> str:

@@ -5,9 +5,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-NORMAL, STUDENT, BOUNDED = "normal", "student-t over replicates", "bounded"
-MEDIAN, BOOTSTRAP = "median of means", "bootstrap-t"
+CORRECTED, NORMAL, STUDENT = "corrected for skewness", "normal", "student-t over replicates"
+BOUNDED, MEDIAN, BOOTSTRAP = "bounded", "median of means", "bootstrap-t"
 RESAMPLES = 2000
+LEAST_SKEW = 8  # numbers from which a skewness is worth correcting for
+NOISE = 1.3  # 6 / (2 z^2 - 3) at z = 1.96, see ``_lean``
 
 
 class Ends(NamedTuple):
@@ -36,28 +38,81 @@ def interval(estimate, level, method, bounds) -> Interval:
     """See ``Estimate.interval``."""
     if not 0.0 < level < 1.0:
         raise ValueError(f"level must lie between 0 and 1, got {level}")
-    natural = NORMAL if estimate.between is None else STUDENT
-    method = method or (natural if bounds is None else BOUNDED)
-    if method == natural:
-        halves = estimate.half_widths(level)
-        ends = [(m.mean - half, m.mean + half) for m, half in zip(estimate.moments, halves, strict=True)]
-    elif method == BOUNDED:
-        ends = [_bounded(m, level, bounds) for m in estimate.between or estimate.moments]
+    method = method or (_default(estimate) if bounds is None else BOUNDED)
+    if method == BOUNDED and estimate.ratio:
+        raise ValueError(f'the method "{BOUNDED}" is for plain means, and this is a ratio of sums; leave bounds out')
+    if method == BOUNDED:
+        ends = [_bounded(m, level, bounds) for m in _records(estimate)]
+    elif method in (_natural(estimate), _default(estimate)):
+        sides = zip(estimate.moments, _sides(estimate, level, method), strict=True)
+        ends = [(m.mean - below, m.mean + above) for m, (below, above) in sides]
     elif method in (MEDIAN, BOOTSTRAP):
         ends = [(_median if method == MEDIAN else _bootstrap)(x, level) for x in _replicate_means(estimate, method)]
     else:
-        raise ValueError(f'method must be "{natural}", "{BOUNDED}", "{MEDIAN}" or "{BOOTSTRAP}" here, got {method!r}')
+        own = " or ".join(f'"{name}"' for name in dict.fromkeys([_default(estimate), _natural(estimate)]))
+        raise ValueError(f'method must be {own}, "{BOUNDED}", "{MEDIAN}" or "{BOOTSTRAP}" here, got {method!r}')
     lower, upper = zip(*ends, strict=True) if ends else ((), ())
     return Interval(estimate._tree(list(lower)), estimate._tree(list(upper)), method, level)
 
 
-def quantile(estimate, level):
-    """Return how many standard errors half the width of the default interval is."""
+def half_widths(estimate, level):
+    """See ``Estimate.half_widths``."""
+    return [(below + above) / 2.0 for below, above in _sides(estimate, level, _default(estimate))]
+
+
+def _records(estimate):
+    """Return the moments of what is independent: samples, or means of replicates."""
+    return estimate.moments if estimate.between is None else estimate.between
+
+
+def _natural(estimate):
+    return NORMAL if estimate.between is None else STUDENT
+
+
+def _default(estimate):
+    known = all(len(m.central) == 3 and np.all(m.n >= LEAST_SKEW) for m in _records(estimate))
+    return CORRECTED if known else _natural(estimate)
+
+
+def _sides(estimate, level, method):
+    """Return for each leaf how far an interval by quantiles of the normal law or of Student's reaches to both sides."""
     tail = (1.0 - level) / 2.0
     if estimate.between is None:
-        return stats.norm.isf(tail)
-    replicates = estimate.recipe["replicates"]
-    return stats.t.isf(tail, replicates - 1) if replicates > 1 else np.nan
+        q = stats.norm.isf(tail)
+    else:
+        replicates = estimate.recipe["replicates"]
+        q = stats.t.isf(tail, replicates - 1) if replicates > 1 else np.nan
+    sides = []
+    for m in _records(estimate):
+        error, lean = np.sqrt(m.variance / np.maximum(m.n, 1)), _lean(m) if method == CORRECTED else 0.0
+        sides.append((_upright(q, lean) * error, -_upright(-q, lean) * error))
+    return sides
+
+
+@np.errstate(all="ignore")
+def _lean(m):
+    """Return the skewness of the mean that an interval should allow for, in the shape of the mean.
+
+    Student's t of n numbers of skewness g leans by g / sqrt(n), and its symmetric interval covers too seldom. A share w
+    of that is corrected. Where the excess kurtosis k is below 3/2 g^2, the noise of the estimated g goes against that
+    of the mean, cov(estimated g, t) = (k - 3/2 g^2) / sqrt(n), and with w = 1 the interval would cover too often. In
+    the expansions of P. Hall, The Bootstrap and Edgeworth Expansion, 1992, chapter 2, the terms of order 1/n in the
+    coverage of (-z, z) nearly cancel for w = g^2 / (g^2 + 6 / (2 z^2 - 3) (3/2 g^2 - k)). It is 1 for gamma laws, and
+    small where g is noise.
+    """
+    skew = m.skewness
+    flat = np.maximum(1.5 * skew**2 - (m.kurtosis - 3.0), 0.0)
+    share = skew**2 / (skew**2 + NOISE * flat)
+    # Correct the sample skewness for its size; where nothing varies there is none.
+    return np.nan_to_num(share * skew * np.sqrt(m.n - 1.0) / (m.n - 2.0))
+
+
+def _upright(q, lean):
+    """Return the t whose transform x + a x^2 / 3 + a^2 x^3 / 27 + a / 6, of less skewness, is q, where a is how much it
+    leans (P. Hall, On the removal of skewness by transformation, J. R. Statist. Soc. B 54, 1992)."""
+    x = q - lean / 6.0
+    root = np.cbrt(1.0 + lean * x)
+    return 3.0 * x / (root * root + root + 1.0)
 
 
 def _bounded(m, level, bounds):

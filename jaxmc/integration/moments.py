@@ -116,6 +116,18 @@ class MomentsResult(NamedTuple):
         with np.errstate(all="ignore"):
             return np.where(self.n > 1, self.central[0] * (self.n / (self.n - 1)), np.nan)
 
+    @property
+    def skewness(self):
+        """Skewness of the samples; NaN where nothing varies. Needs the moments of order 3."""
+        with np.errstate(all="ignore"):
+            return self.central[1] / self.central[0] ** 1.5
+
+    @property
+    def kurtosis(self):
+        """Kurtosis of the samples, 3 for the normal law; NaN where nothing varies. Needs the moments of order 4."""
+        with np.errstate(all="ignore"):
+            return self.central[2] / self.central[0] ** 2
+
 
 @dataclasses.dataclass
 class _PowerSums:
@@ -130,6 +142,13 @@ class _PowerSums:
     @classmethod
     def zeros(cls, shape, order):
         return cls(np.zeros(shape), np.zeros(shape), np.zeros((order, *shape)), np.zeros((order, *shape)))
+
+    @property
+    def shape(self):
+        return self.center.shape
+
+    def empty(self):
+        return _PowerSums.zeros(self.shape, len(self.total))
 
     @np.errstate(all="ignore")  # samples that are not finite make sums that are not: that is said by their number
     def add(self, leaf, where):
@@ -190,12 +209,13 @@ class _PowerSums:
 
 class Replicates:
     """The moments of independent randomisations of a family, one after the other: pooled over all samples, and of their
-    means. ``current`` holds the sums of the randomisation under way, one ``_PowerSums`` to a leaf."""
+    means. ``current`` holds the sums of the randomisation under way, one ``_PowerSums`` to a leaf, or what has its
+    ``shape``, ``empty``, ``clear``, ``merge`` and ``moments``."""
 
     def __init__(self, current):
         self.current, self.under_way = current, None
-        self.pooled = [_PowerSums.zeros(sums.center.shape, len(sums.total)) for sums in current]
-        self.between = [_PowerSums.zeros(sums.center.shape, 2) for sums in current]
+        self.pooled = [sums.empty() for sums in current]
+        self.between = [_PowerSums.zeros(sums.shape, 2) for sums in current]
 
     def begin(self, replicate):
         """Say that the next samples belong to this randomisation."""
@@ -205,7 +225,7 @@ class Replicates:
 
     def _close(self):
         for sums, pooled, between in zip(self.current, self.pooled, self.between, strict=True):
-            mean, zero = sums.moments().mean, np.zeros_like(sums.center)
+            mean, zero = sums.moments().mean, np.zeros(sums.shape)
             record = {"count": zero + 1.0, "mean": mean, "scale": zero, "powers": [zero, zero], "nonfinite": zero}
             between.add(record, ...)
             pooled.merge(sums)
@@ -225,7 +245,7 @@ def pool(replicates: MomentsResult) -> tuple[MomentsResult, MomentsResult]:
     mean = means.mean(0)
     powers = [np.zeros_like(means), *(c * replicates.n for c in replicates.central)]
     central = [x.sum(0) / replicates.n.sum(0) for x in _shift(replicates.n, powers, means - mean)[1:]]
-    between = [((means - mean) ** 2).mean(0)]
+    between = [((means - mean) ** k).mean(0) for k in (2, 3, 4)]
     return (
         MomentsResult(replicates.n.sum(0), mean, central, replicates.nonfinite),
         MomentsResult(np.full(mean.shape, float(count)), mean, between, 0),

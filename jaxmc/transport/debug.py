@@ -146,7 +146,7 @@ def sample_index(camera: Camera, pixel, sample, *, sampler=Independent(), points
 def _replay(integrand, tables, seed, words, pixels, sampler):
     strategy = integrand.fn.strategy
     scene, camera = integrand.params
-    stride = len(strategy.coordinates(scene))
+    film, stride = integrand.fn.first(camera, 0), len(strategy.coordinates(scene))
 
     def one(words, pixel):
         u = sampler.point(seed, Index(words[0], words[1]), *tables)
@@ -155,7 +155,7 @@ def _replay(integrand, tables, seed, words, pixels, sampler):
         direct, first_face = luminance(state.radiance), state.hit.face
 
         def event(state, k):
-            surface, first = surface_at(scene, state.ray, state.hit), 2 + stride * k
+            surface, first = surface_at(scene, state.ray, state.hit), film + stride * k
             after = scatter(scene, strategy, u, first, surface, state, event=k)
             return after, {
                 "face": surface.face, "point": jnp.stack(surface.point), "normal": jnp.stack(surface.normal),

@@ -55,7 +55,8 @@ class _Occlusion(Film):
         hit = closest_hit(scene, start)
         surface = surface_at(scene, start, hit)
         free = 0.0
-        for k in range(2, 2 + 2 * self.directions, 2):
+        first = self.first(camera, pixel)
+        for k in range(first, first + 2 * self.directions, 2):
             wi, _, _ = sample_diffuse("cosine", surface.normal, u[k], u[k + 1])
             is_free = unoccluded(scene, rays.ray(surface.point, wi), self.reach, surface.face, None, anywhere=True)
             free = free + jnp.where(is_free, 1.0 / self.directions, 0.0)

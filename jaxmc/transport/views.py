@@ -90,7 +90,9 @@ class _Events(Film):
         def observe(surface, after):
             return surface.face >= 0, luminance(after.beta) > 0.0
 
-        _, seen = trace(scene, self.strategy, u, 2, self.start(u, scene, camera, pixel), observe)
+        _, seen = trace(
+            scene, self.strategy, u, self.first(camera, pixel), self.start(u, scene, camera, pixel), observe
+        )
         if seen is None:
             return jnp.zeros(())
         met, carries = seen
