@@ -61,6 +61,8 @@ from .transport.primitives import Quad as Quad
 from .transport.primitives import Sphere as Sphere
 from .transport.primitives import Triangle as Triangle
 from .transport.scene import Scene as Scene
+from .transport.scene_files import load_scene as load_scene
+from .transport.scene_files import save_scene as save_scene
 from .transport.sky import GradientSky as GradientSky
 from .transport.strategy import PathOptions as PathOptions
 from .transport.strategy import Roulette as Roulette
