@@ -6,7 +6,7 @@ from importlib import metadata
 
 from . import __version__, bench, scenes
 from .known import COMMANDS, collection
-from .studies import calibration, mirror_box, sparkles, stability
+from .studies import calibration, diffuse_emissive, mirror_box, primitives, sparkles, stability
 from .transport.debug import replay
 
 
@@ -50,7 +50,17 @@ def _parser():
         help="scenes whose bias is measured, as module:name (default: those that `jaxmc scenes` lists)",
     )
     stable.set_defaults(run=_study_stability)
+    diffuse = study.add_parser("diffuse-emissive", help="what naive paths hit: why a small light is noise")
+    diffuse.add_argument("--spp", type=int, default=256, help="most samples per pixel (default 256)")
+    diffuse.add_argument("--size", type=int, default=128, help="width and height in pixels (default 128)")
+    diffuse.set_defaults(run=_study_diffuse_emissive)
+    kinds = study.add_parser("primitives", help="what triangles, quads and boxes cost, and 1 to 1000 spheres")
+    kinds.add_argument("--spp", type=int, default=32, help="samples per pixel (default 32; the source has 100)")
+    kinds.add_argument("--size", type=int, default=256, help="width and height (default 256; the source has 512)")
+    kinds.add_argument("--rounds", type=int, default=3, help="renders of each build, in turn (default 3)")
+    kinds.set_defaults(run=_study_primitives)
     studies = {"mirror-box": mirror, "sparkles": sparkle, "calibration": calibrate, "stability": stable}
+    studies |= {"diffuse-emissive": diffuse, "primitives": kinds}
     for name, command in studies.items():
         command.add_argument("--out", default=f"out/{name}", help=f"folder of the report (default out/{name})")
         command.add_argument("--seed", type=int, default=0, help="seed (default 0)")
@@ -107,6 +117,22 @@ def _study_stability(options):
         events=options.events, scenes=options.scenes, seed=_seed(options), progress=not options.quiet
     )
     print(f"report: {stability.run(options.out, settings)}")
+    return 0
+
+
+def _study_diffuse_emissive(options):
+    settings = diffuse_emissive.Settings(
+        spp=options.spp, size=options.size, seed=_seed(options), progress=not options.quiet
+    )
+    print(f"report: {diffuse_emissive.run(options.out, settings)}")
+    return 0
+
+
+def _study_primitives(options):
+    settings = primitives.Settings(
+        size=options.size, spp=options.spp, rounds=options.rounds, seed=_seed(options), progress=not options.quiet
+    )
+    print(f"report: {primitives.run(options.out, settings)}")
     return 0
 
 
