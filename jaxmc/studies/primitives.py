@@ -155,7 +155,9 @@ def agreement(a: Estimate, b: Estimate, tiles=TILES):
     difference, variance = _tiles(a.mean - b.mean, tiles), _tiles(sum(error), tiles)
     count = a.mean[..., 0].size / tiles**2
     stderr = np.sqrt(variance / count)
-    z = np.divide(difference, stderr, out=np.zeros_like(stderr), where=stderr > 0.0)
+    # What does not vary may not differ at all.
+    certain = np.where(difference == 0.0, 0.0, np.inf)
+    z = np.divide(difference, stderr, out=certain, where=stderr != 0.0)
     scale = 0.5 * (a.mean.mean() + b.mean.mean())
     # The channels of a sample vary together at most fully.
     whole = np.sqrt(sum(error)).mean(-1)
