@@ -102,7 +102,7 @@ def _show_truth(report, settings, stages):
             )
             # The law of the mean is exact, so its error is too: the measured one is too small where hits are missing.
             z = deviation(estimate.mean, exact.exact, math.sqrt(exact.exact_variance / settings.samples))
-            curves[word].append(variance / exact.exact**2)
+            curves[word].append(variance / exact.exact**2 if variance > 0.0 else math.nan)  # no hit, no dot
             rows.append(
                 [size, word, p, p * settings.samples, estimate.mean / exact.exact, z, variance / exact.exact_variance,
                  kurtosis, exact.exact_kurtosis, estimate.status, tail.status]
