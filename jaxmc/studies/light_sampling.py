@@ -257,13 +257,10 @@ def _areas(lab):
         lab.report.value(f"one bounce {word}: tail", str(pareto_khat(found["top"].value, found.n)))
     lab.table(bounce, "Light after one event, in both forms.", [("z, against the first", against(bounce))])
     fig, (ax,) = plot.panels(1, 1, (6.0, 4.0))
-    curves = {
-        word: (
-            [s.variance / s.exact**2 for s in scores],
-            [s.exact_variance / s.exact**2 for s in scores] if scores[0].exact_variance else None,
-        )
-        for word, scores in direct.items()
-    }
+    curves = {}
+    for word, scores in direct.items():
+        exact = [np.nan if s.exact_variance is None else s.exact_variance / s.exact**2 for s in scores]
+        curves[word] = [s.variance / s.exact**2 for s in scores], None if np.isnan(exact).all() else exact
     plot.law(ax, HEIGHTS, curves, "height of the lamp, of side 1", "relative variance of one sample")
     lab.report.figure(
         fig, "areas", "Direct light in three forms: measured (dots), and exact where that is known (lines)."
