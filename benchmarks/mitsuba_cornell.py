@@ -1,4 +1,4 @@
-"""Mitsuba 3 as a render server for the throughput benchmark. Needs only mitsuba and NumPy.
+"""Mitsuba 3 as a render server for the benchmarks. Needs only mitsuba and NumPy.
 
     python mitsuba_cornell.py llvm_ad_rgb        (or scalar_rgb, or any other RGB variant)
 
@@ -15,18 +15,25 @@ A line that fails is answered ``{"error": ...}``. The images live until stdin cl
 vertical, in degrees, and ``bounces`` counts scattering events. A quad ``{"corner", "edge_u", "edge_v"}`` reflects on
 both sides and emits where ``cross(edge_u, edge_v)`` points; a sphere has ``{"center", "radius"}``. Both have
 ``{"albedo", "mirror", "emission"}``: RGB, true or false, and RGB or null. A scene may also name a ``"sampler"`` of
-Mitsuba, and hold an ``"integrator"`` as Mitsuba describes it. ``peers.py`` writes descriptions.
+Mitsuba, and hold an ``"integrator"`` as Mitsuba describes it. ``peers.py`` writes descriptions. Or a scene is Mitsuba's
+own dictionary, ``{"type": "scene", ...}``, as ``jaxmc.transport.mitsuba_scenes.describe`` returns it.
 """
 
 import json
 import os
 import re
+import runpy
 import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
+from mitsuba_masking import register
+
+# By its path: this environment has no JAX, and the file needs none.
+OBJECTS = Path(__file__).parents[1] / "jaxmc" / "transport" / "mitsuba_objects.py"
+with_objects = runpy.run_path(str(OBJECTS))["with_objects"]
 
 
 def find_llvm(oldest=19):
@@ -69,6 +76,8 @@ def surface(item):
 
 def build(mi, description):
     """Return the Mitsuba scene of a description."""
+    if description.get("type") == "scene":
+        return mi.load_dict(with_objects(mi, description))
     transform = mi.ScalarTransform4f
     scene = {
         "type": "scene",
@@ -118,6 +127,7 @@ def serve(variant, requests, reply, folder):
     import mitsuba as mi
 
     mi.set_variant(variant)
+    register(mi, drjit)
     scene, warm, first = None, set(), None
     for count, line in enumerate(filter(str.strip, requests)):
         try:

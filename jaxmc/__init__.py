@@ -64,6 +64,8 @@ from .transport.primitives import Sphere as Sphere
 from .transport.primitives import Triangle as Triangle
 from .transport.progressive import render_progressively as render_progressively
 from .transport.scene import Scene as Scene
+from .transport.scene_files import load_scene as load_scene
+from .transport.scene_files import save_scene as save_scene
 from .transport.sky import GradientSky as GradientSky
 from .transport.strategy import PathOptions as PathOptions
 from .transport.strategy import Roulette as Roulette

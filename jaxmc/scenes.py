@@ -173,7 +173,7 @@ def _halves(quad):
 
 
 def many_spheres(count, width=128, height=128, seed=0) -> tuple[Scene, Camera]:
-    """Return ``count`` diffuse spheres of one size at random places in the unit cube, under a grey sky; some overlap."""
+    """Return ``count`` diffuse spheres of one size at random places in the unit cube, under a sky; they may overlap."""
     centers = np.random.default_rng(seed).uniform(0.1, 0.9, (count, 3))
     spheres = [Sphere(center, 0.3 / count ** (1 / 3), Diffuse(0.5)) for center in centers]
     camera = PinholeCamera((0.5, 0.5, 2.5), (0.5, 0.5, 0.5), fov=40, width=width, height=height)

@@ -48,13 +48,12 @@ def test_law_of_branching():
 
 
 def test_branching_in_a_furnace():
-    room = light_scenes.furnace(0.6)
-    terms = branching.branching_terms(*room, depth=2, branch=3, directions="uniform")
-    assert terms.dim == 2 + 2 * 12
-    estimate = mc.integrate(terms, n=1 << 15, key=1)
-    np.testing.assert_array_less(np.abs(estimate.mean - 0.6 ** np.arange(3)), 5 * estimate.stderr + 1e-6)
-    whole = mc.integrate(terms.map(_total), n=1 << 15, key=1)
-    assert float(whole.variance) == pytest.approx(branching.furnace_law(0.6, 2, 3)[1], rel=0.05)
+    terms = branching.branching_terms(*light_scenes.furnace(0.6), depth=2, branch=2, directions="uniform")
+    assert terms.dim == 2 + 2 * 6
+    estimate = mc.integrate(terms.map(_total), n=1 << 16, key=1)
+    mean, variance = branching.furnace_law(0.6, 2, 2)
+    assert_unbiased(estimate, mean, 1e-2)
+    assert abs(float(estimate.variance) - variance) < 5 * flat_vs_nested.variance_error(estimate) < 0.1 * variance
 
 
 def _total(values):
@@ -67,8 +66,9 @@ def test_irradiance_of_lamps(place):
     of_lamps = light_scenes.irradiance_of_lamps(place)
     estimate = mc.integrate(integrand, n=1 << 18, key=1)
     assert_unbiased(estimate, of_lamps.sum(), 1e-2)
-    law = len(of_lamps) * np.sum(of_lamps**2) - of_lamps.sum() ** 2
-    assert law < float(estimate.variance) < 1.05 * law
+    # The points on each lamp add a little to the law of the pick.
+    law, error = len(of_lamps) * np.sum(of_lamps**2) - of_lamps.sum() ** 2, flat_vs_nested.variance_error(estimate)
+    assert law - 5 * error < float(estimate.variance) < 1.05 * law and error < 0.02 * law
 
 
 def test_rays_of_paths_with_roulette():
@@ -77,9 +77,8 @@ def test_rays_of_paths_with_roulette():
     assert_unbiased(mc.integrate(events, n=1 << 16, key=1), 1 + 0.5 + 0.25 + 0.125, 1e-2)
 
 
-@pytest.mark.parametrize("lights", ["none", "nee"])
-def test_under_a_mirror_ball(lights):
-    integrand, exact = caustic.under_mirror_ball(0.1, lights)
+def test_light_sampling_does_not_help_under_a_mirror_ball():
+    integrand, exact = caustic.under_mirror_ball(0.1, "nee")
     estimate = mc.integrate(integrand, n=1 << 18, key=1)
     assert abs(estimate.mean - exact.exact) < 5 * np.sqrt(exact.exact_variance / estimate.n)
     assert float(estimate.variance) == pytest.approx(exact.exact_variance, rel=0.1)
@@ -89,7 +88,7 @@ def test_under_a_mirror_ball(lights):
 def test_bright_pixels_hold_half_of_the_light():
     radiance = np.array([[1.0, 6.0], [2.0, 3.0]])
     assert caustic.bright_pixels(radiance).tolist() == [[False, True], [False, False]]
-    assert caustic.bright_pixels(np.ones((2, 4))).sum() == 5
+    assert caustic.bright_pixels(np.ones((2, 4))).sum() == 4
 
 
 @pytest.mark.slow

@@ -125,7 +125,7 @@ class Run:
     """The tallies of one estimate while it grows.
 
     Attributes:
-        n: samples folded so far, of each integral of a family.
+        n: samples folded so far, of each integral of a family; ``drawn``: of all integrals together.
         seconds: wall time since the start, compilation included.
     """
 
@@ -144,7 +144,7 @@ class Run:
         self.items, self.lanes = items, lanes
         self.apart = "moments" if replicates else None  # the tally whose state each replicate has for itself
         self.states: dict[str, Any] = {}
-        self.used, self.n = 0, 0
+        self.used, self.n, self.drawn = 0, 0, 0
 
     @property
     def seconds(self):
@@ -180,14 +180,13 @@ class Run:
             ranges = [(r, r * points, (r + 1) * points) for r, _, _ in ranges]
         for some in cut(ranges):
             self._add(item_jobs(some, self.items, self.blocks, self.lanes, self.sampler.independent), points, bar)
-            self.n += sum(stop - start for _, start, stop in some)
             yield self._estimate(points)
 
     def _ranges(self, points):
         """Return the samples to add: those that are missing, or new randomisations, for which others are forgotten."""
         if self.replicates is None:
             return [(0, self.n, points)]
-        first, self.states, self.n = self.used, {}, 0
+        first, self.states, self.n, self.drawn = self.used, {}, 0, 0
         self.used += self.replicates
         return [(r, 0, points) for r in range(first, self.used)]
 
@@ -222,7 +221,9 @@ class Run:
             self._begin(records, example)
             for name, tally in self.tallies.items():
                 self._fold(name, tally, records[name], job)
-            self.n += 0 if self.items else job.samples
+            # One call may hold fewer samples than there are integrals.
+            self.drawn += job.samples
+            self.n = self.drawn // (self.items or 1)
             bar.update(job.samples)
             if time.perf_counter() > deadline:
                 return False

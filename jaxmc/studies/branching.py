@@ -1,5 +1,5 @@
-"""Estimators that send several rays from one point, for comparison with those that send one: never faster to write,
-and their cost is a power of the depth.
+"""Estimators that send several rays from one point, for comparison with those that send one. Their cost is a power of
+the depth, and most of it goes to the last event.
 """
 
 import dataclasses

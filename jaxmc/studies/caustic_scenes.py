@@ -69,7 +69,7 @@ def curved_mirror(size, width=64) -> CausticScene:
     corners = np.stack([np.cos(edges), np.sin(edges), 0.0 * edges], -1)
     wall = [Quad(a, b - a, (0.0, 0.0, 0.5), Mirror(0.95)) for a, b in itertools.pairwise(corners)]
     aim = (-0.2, -1.02, 0.0), (0.0, 2.04, 0.0), (0.0, 0.0, 1.2)
-    return _caustic(wall, (-2.2, 0.3, 1.6), size, aim, ((0.25, 0.0), 1.2), 2.5, 4, width)
+    return _caustic(wall, (-2.2, 0.3, 1.6), size, aim, ((0.2, 0.0), 1.1), 2.5, 4, width)
 
 
 def _caustic(specular, place, size, aim, window, eye, bounces, width):
@@ -149,7 +149,7 @@ def caustic_by_photons(caustic: CausticScene, n, key=0):
     x_edges, y_edges = (np.linspace(c - side / 2, c + side / 2, width + 1) for c in (x, y))
     sums = np.zeros((2, width, width))
     for k in range(max(1, n >> 20)):
-        found = draw(photons(caustic), n=min(n, 1 << 20), key=key + k)
+        found = draw(photons(caustic), n=min(n, 1 << 20), key=(key << 12) + k)
         lands = np.asarray(found.value, np.float64)
         for power in (1, 2):
             sums[power - 1] += np.histogram2d(

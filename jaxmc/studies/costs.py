@@ -26,8 +26,8 @@ MOVES = {  # what moves or names values, and computes none
 
 
 class RayCost(NamedTuple):
-    """Costs of rays in a scene of ``count`` primitives, on one core: seconds to compile the closest hit, the shadow test
-    and a path, and nanoseconds for each ray and primitive of the first two."""
+    """Costs of rays in a scene of ``count`` primitives, on one core: seconds to compile the closest hit, the shadow
+    test and a path, and nanoseconds for each ray and primitive of the first two."""
 
     count: int
     compile_closest: float
@@ -70,8 +70,8 @@ def _jaxprs(value):
 
 
 def compiled(fn, *args):
-    """Return ``fn``, compiled for arguments like ``args`` as kernels are, and the seconds of cores that it took to trace
-    and compile it. A number that nobody needs keeps JAX from finding it among what was compiled before."""
+    """Return ``fn``, compiled for arguments like ``args`` as kernels are, and the seconds of cores that it took to
+    trace and compile it. A number that nobody needs keeps JAX from finding it among what was compiled before."""
     salt = time.time_ns() % (1 << 30)
     started = time.process_time()
     jitted = jax.jit(lambda *args: (fn(*args), jnp.int32(salt)), compiler_options=backend.KERNEL_OPTIONS)

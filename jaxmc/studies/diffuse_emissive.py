@@ -103,13 +103,13 @@ def _show_convergence(report, settings, measured):
             marks = {"color": color, "marker": "o" if strategy == "naive" else "^", "ms": 4}
             axes[0].plot(n, predicted, **style)
             axes[0].plot(n, error, ls="", label=f"{name}, {strategy}", **marks)
-            axes[1].plot([r.seconds for r in rungs.values()], error, label=f"{name}, {strategy}", **style | marks)
+            axes[1].plot([r.core_seconds for r in rungs.values()], error, label=f"{name}, {strategy}", **style | marks)
             rate = convergence.fit_rate(n, error**2)
             wanted = m.relative_variance(strategy) / ALLOWED**2
             rows.append([name, strategy, float(error[0]), float(error[-1]), rate.slope, rate.stderr, float(wanted)])
             report.value(f"relative errors, {name}, {strategy}", error)
             report.value(f"predicted relative errors, {name}, {strategy}", predicted)
-    for ax, label in zip(axes, ("samples per pixel", "seconds of rendering")):
+    for ax, label in zip(axes, ("samples per pixel", "seconds of all cores together")):
         ax.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of a pixel")
         ax.grid(alpha=0.3)
     plot.shared_legend(fig)
@@ -176,8 +176,8 @@ def _draw_hits(above, below, title, m):
 
 def _show_time(report, settings, measured, times):
     n = np.array(settings.ladder)
-    name, m = list(measured.items())[-1]
-    rungs = m.ladder["naive"]
+    scene = list(measured)[-1]
+    rungs = measured[scene].ladder["naive"]
     by_samples = np.array([[r.seconds, r.core_seconds] for r in rungs.values()])
     report.section("Time grows as samples and pixels do")
     fig, axes = plot.panels(2, 2, (4.8, 3.6))
@@ -201,7 +201,7 @@ def _show_time(report, settings, measured, times):
     )
     report.figure(fig, "time", caption)
     headers = ["of", "seconds of", "fixed", "for each", "largest deviation from the line"]
-    report.table(headers, rows, f"{name}, naive, with all that this study keeps of a path; kernels compiled before.")
+    report.table(headers, rows, f"{scene}, naive, with all that this study keeps of a path; kernels compiled before.")
 
 
 def line(x, seconds):

@@ -69,7 +69,7 @@ def measure(name, settings, stages, stream) -> Measured:
     found, ladder = {}, {}
     for k, strategy in enumerate(STRATEGIES):
         progress = stages.stage(f"{name}, {strategy}, {n} spp")
-        estimate, *_ = _shoot(name, size, n, strategy, _key(settings, stream + k), progress)
+        estimate, *_ = shoot(name, size, n, strategy, _key(settings, stream + k), progress)
         found[strategy] = [_images(tree, size) for tree in (estimate.mean, estimate.variance)]
     (mean, variance), (naive, naive_variance) = found["default"], found["naive"]
     truth, noise = mean["luminance"], variance["luminance"] / n
@@ -93,7 +93,7 @@ def _ladder(name, settings, stages, strategy, reference, stream) -> dict[int, Ru
         errors, times, first = [], [], None
         for _ in range(settings.replicates(n)):
             stream, done = stream + 1, done + n * settings.size**2
-            estimate, *seconds = _shoot(name, settings.size, n, strategy, _key(settings, stream))
+            estimate, *seconds = shoot(name, settings.size, n, strategy, _key(settings, stream))
             images = _images(estimate.mean, settings.size)
             first = images["image"] if first is None else first
             errors.append(convergence.image_error(images["luminance"][mask], truth[mask], noise[mask]))
@@ -103,7 +103,7 @@ def _ladder(name, settings, stages, strategy, reference, stream) -> dict[int, Ru
     return ladder
 
 
-def _shoot(name, size, spp, strategy, key, progress=None):
+def shoot(name, size, spp, strategy, key, progress=None):
     """Return an image with its facts, the wall seconds, and the seconds that all cores worked on it."""
     make, light = SCENES[name]
     integrand = neumann_terms(*make(light, width=size, height=size), bounces=BOUNCES, **STRATEGIES[strategy])
@@ -122,10 +122,10 @@ def time_pixels(settings, stages):
     for part in TIMED:
         size = int(part * settings.size)
         progress = stages.stage(f"{size} x {size} pixels")
-        _shoot(name, size, 1, "naive", _key(settings, 999))
+        shoot(name, size, 1, "naive", _key(settings, 999))
         shots = []
         for k in range(2):
-            shots.append(_shoot(name, size, settings.spp, "naive", _key(settings, 1000 + k))[1:])
+            shots.append(shoot(name, size, settings.spp, "naive", _key(settings, 1000 + k))[1:])
             progress((k + 1) * settings.spp * size**2, None)
         times.append((size**2, *np.min(shots, axis=0)))
     return np.array(times)

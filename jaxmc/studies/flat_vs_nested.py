@@ -248,9 +248,11 @@ def _show_branching(report, settings, stages):
             rows.append([depth, branch, rays, mean, reference.mean[depth], z, variance, efficiency[branch][-1]])
     report.section("Recursion that branches")
     report.text(
-        "A hundred rays for each hit are 10^2 at the first, 10^4 at the second and 10^6 at the third: nearly all rays "
-        "go where they matter least. One ray for each bounce is a flat integral over screen and hemispheres. Below, "
-        "the light after exactly k scattering events in a grey room, by rays that wait for the lamp."
+        "A hundred rays for each hit are 10^2 at the first, 10^4 at the second and 10^6 at the third. One ray for "
+        "each bounce is a flat integral over screen and hemispheres. Below, the light after exactly k scattering "
+        "events in a grey room, by rays that wait for a lamp; and in a white furnace, where mean and variance are "
+        "exact. Where only the last ray decides, as for a lamp that few rays meet, two or four of them pay for each "
+        "ray. Where every event counts, as in the furnace, a hundred at depth 3 are a thousand times worse than one."
     )
     fig, axes = plot.panels(2, 2, (5.0, 3.8))
     depths = np.arange(1, 5)
@@ -270,8 +272,8 @@ def _show_branching(report, settings, stages):
     axes[1].legend(fontsize=8)
     caption = (
         "Left: how many rays a sample takes. Right: efficiency, 1 / (relative variance x rays), against one ray for "
-        "each bounce: measured in the room (dots), and exactly in a white furnace with uniform directions (dashed, "
-        "depths 1 to 3 from above)."
+        "each bounce: measured for the light after exactly so many events in the room (dots), and exactly for all the "
+        "light in a white furnace with uniform directions (dashed, depths 1 to 3 from above)."
     )
     report.figure(fig, "branching", caption)
     headers = ["depth", "b", "rays", "mean", "one ray for each bounce", "z", "variance", "efficiency for a ray"]

@@ -24,8 +24,7 @@ class Score(NamedTuple):
     """How well an estimator of one integral does. ``exact`` and ``exact_variance`` are None where they are not known.
 
     ``z`` is (mean - exact) / stderr. ``seconds`` are those of a million samples, compilation left out. ``efficiency``
-    is mean^2 / (variance * seconds of one sample): how many times the mean's relative error 1 is halved, squared, in
-    a second.
+    is mean^2 / (variance x seconds of one sample): one over the squared relative error after a second.
     """
 
     strategy: str

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import numpy as np
@@ -24,7 +24,12 @@ class Camera:
     """A camera as the kernel uses it: the direction to film position (x, y) in [-1, 1]^2 is
     ``forward + right * x + down * y``, before normalisation. ``antialias``: rays lie anywhere in a pixel, not in its
     middle.
+
+    ``given`` are the arguments of ``PinholeCamera``; not part of the pytree, so a camera that went through a
+    transformation of JAX has none.
     """
+
+    given: ClassVar[dict[str, Any] | None] = None
 
     origin: Vec3
     right: Vec3
@@ -59,6 +64,7 @@ def PinholeCamera(
         ValueError: a size that is not a positive integer, a field of view out of range, an ``antialias`` that is
             neither True nor False, or a view along ``up``.
     """
+    given = dict(locals())
     for name, value in (("width", width), ("height", height)):
         positive(f"PinholeCamera {name}", value, most=1 << 15)
     if not (is_number(fov) and 0.0 < fov < 180.0):
@@ -82,4 +88,6 @@ def PinholeCamera(
     vectors: Any = [
         Vec3(*(np.asarray(c, np.float64) if is_concrete(c) else c for c in v)) for v in (origin, right, down, forward)
     ]
-    return Camera(*vectors, int(width), int(height), antialias)
+    camera = Camera(*vectors, int(width), int(height), antialias)
+    object.__setattr__(camera, "given", given)
+    return camera

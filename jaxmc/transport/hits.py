@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from . import shape_tables, shapes
+from .boxes import BoxShape
 from .derivatives import root
 from .primitives import is_concrete
 from .rays import Ray
@@ -87,15 +88,20 @@ def unoccluded(scene: Scene, ray: Ray, length, own, target, anywhere=False):
         if not anywhere and not any(face in scene.casters for face in faces):
             continue
         targets = set() if target is None else _lights_on(scene, faces)
-        if targets and targets == set(scene.lights):
+        is_box = isinstance(shape, BoxShape)
+        if targets and targets == set(scene.lights) and not is_box:
             continue  # the target is always on it
         empty = first in scene.empty and not anywhere
-        blocked = shapes.blocks(shape, first, ray, length, own, scene.is_same(own, first), empty)
-        if targets:
-            is_target = scene.is_same(target, first)
-            for face in faces[1:]:
-                is_target = is_target | scene.is_same(target, face)
-            blocked = blocked & ~is_target
+        if targets and is_box:
+            # A box hides its own far sides.
+            distance, face = shapes.intersect(shape, first, ray, own, False)
+            blocked = distance < length
+            for one in faces:
+                blocked = blocked & ~((face == one) & scene.is_same(target, one))
+        else:
+            blocked = shapes.blocks(shape, first, ray, length, own, scene.is_same(own, first), empty)
+            if targets:
+                blocked = blocked & ~scene.is_same(target, first)
         free = free & ~blocked
     for table in scene.tables:
         aim = -2 if target is None else target

@@ -155,6 +155,62 @@ class Scene:
         # Subtract in float64 what is known, before the kernel's numbers round it.
         return Vec3(*((np.asarray(c, np.float64) if is_concrete(c) else c) - m for c, m in zip(point, self.middle)))
 
+    def to_dict(self) -> dict:
+        """Return the scene as plain data: lists, numbers and strings, as JSON has them; ``scene_files`` says how.
+
+        Every number is exact, as float64: ``Scene.from_dict`` makes the same scene of it, bit for bit. Only that
+        coordinates came in float32, and so are rounded, is forgotten.
+
+        Raises:
+            ValueError: a scene that went through a transformation of JAX, or values that JAX traces.
+        """
+        from .scene_files import scene_to_dict
+
+        return scene_to_dict(self)
+
+    @classmethod
+    def from_dict(cls, data) -> "Scene":
+        """Return the scene that ``to_dict`` wrote; a camera in the data is checked and left out.
+
+        Raises:
+            ValueError: data that are no scene; the message names the place in them.
+        """
+        from .scene_files import scene_from_dict
+
+        return scene_from_dict(data)[0]
+
+    def to_mitsuba(self, camera=None, *, spp=16, bounces=5) -> dict:
+        """Return the scene as a dictionary for ``mitsuba.load_dict``; Mitsuba 3 must be installed, its variant set.
+
+        Paths are those of ``render``: as many bounces, no Russian roulette, a box filter. With a camera there is a
+        sensor that takes ``spp`` samples for each pixel. Mitsuba masks rough conductors without correlation of heights,
+        so they are darker there, by a few percent where they are rough. Triangles are meshes of their own.
+
+        Raises:
+            ImportError: Mitsuba is missing.
+            ValueError: no variant is set; or what Mitsuba cannot have: a ``GradientSky``, a light that is two_sided.
+        """
+        from .mitsuba_objects import with_objects
+        from .mitsuba_scenes import describe
+
+        found = describe(self, camera, spp, bounces)
+        try:
+            import mitsuba  # pyright: ignore[reportMissingImports]
+        except ImportError as error:
+            raise ImportError("scene.to_mitsuba() needs Mitsuba 3: pip install mitsuba") from error
+        if mitsuba.variant() is None:
+            raise ValueError('Mitsuba has no variant yet: call mitsuba.set_variant("llvm_ad_rgb") or another RGB one')
+        return with_objects(mitsuba, found)
+
+    def as_given(self) -> tuple:
+        """Return the primitives and the sky as they came, or raise ``ValueError`` where they are no longer known."""
+        if getattr(self, "given", None) is None:
+            raise ValueError(
+                "this scene went through a transformation of JAX and no longer knows its primitives; "
+                "take the one that mc.Scene([...]) returned"
+            )
+        return self.given
+
     def tree_flatten(self):
         return [getattr(self, k) for k in self._data], tuple(getattr(self, k) for k in self._static)
 

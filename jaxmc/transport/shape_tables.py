@@ -87,12 +87,12 @@ def blocks(table: ShapeTable, ray, length, own, own_plane, target, target_plane,
     """
 
     def visit(shape, first, plane, blocked):
-        cuts = shapes.blocks(shape, first, ray, length, own, own_plane == plane, table.empty and not anywhere)
         if isinstance(shape, BoxShape):
-            is_target = (target >= first) & (target < first + shapes.faces(shape))
-        else:
-            is_target = target_plane == plane
-        return blocked | (cuts & ~is_target)
+            # A box hides its own far sides.
+            distance, face = shapes.intersect(shape, first, ray, own, own_plane == plane)
+            return blocked | ((distance < length) & (face != target))
+        cuts = shapes.blocks(shape, first, ray, length, own, own_plane == plane, table.empty and not anywhere)
+        return blocked | (cuts & (target_plane != plane))
 
     return _each(table, visit, jnp.zeros((), bool))
 

@@ -114,10 +114,13 @@ def sample(light: SphereLight, point, own, u1, u2) -> LightSample:
         axis = to_center * jnp.sqrt(1.0 / squared)
         tangent, bitangent = frame(axis)
         wi = tangent * wi.x + bitangent * wi.y + axis * wi.z
-    near, far = _roots(light.sphere, ray(point, wi), to_center, dot(to_center, wi))
+    nearest = dot(to_center, wi)
+    near, far = _roots(light.sphere, ray(point, wi), to_center, nearest)
     distance = far if light.inward else near
     # Rounding makes some rays at the rim miss: they end where the sphere is nearest to them.
-    distance = jnp.where(distance == distance, distance, dot(to_center, wi))
+    distance = jnp.where(distance == distance, distance, nearest)
+    # From the outer face of a sphere that shines inward no direction leads into it.
+    visible = visible & ((nearest > 0.0) | jnp.logical_not(own)) if light.inward else visible
     return LightSample(wi, distance, jnp.where(visible, 2.0 * np.pi * one_minus_cos, 0.0))
 
 
