@@ -5,8 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import jaxmc
-
 from . import live, pictures, plot
 from .integration.driver import REPLICATES_EACH
 from .integration.lattices import Lattice
@@ -21,6 +19,7 @@ from .transport.debug import replay, sample_index
 from .transport.integrands import render
 from .transport.progressive import render_progressively
 from .transport.scene import Scene
+from .transport.scene_files import load_scene
 from .transport.strategy import CHOICES, THROUGHPUT
 
 SAMPLERS = {
@@ -106,11 +105,8 @@ def _scene(name) -> tuple[Scene, Camera]:
     if not (name.endswith(".json") or Path(name).exists()):
         known = ", ".join(dict(SCENES, **STUDIES))
         raise ValueError(f"no scene {name!r}: give the path of a JSON file, or one of {known}")
-    load = getattr(jaxmc, "load_scene", None)
-    if load is None:
-        raise ValueError(f"{name}: this version reads no scene files; give one of {', '.join(SCENES)}")
     try:
-        scene, camera = load(name)
+        scene, camera = load_scene(name)
     except OSError as error:
         raise ValueError(f"{name!r} cannot be read ({error.strerror}); name another file") from error
     if camera is None:

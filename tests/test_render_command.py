@@ -3,7 +3,6 @@
 import dataclasses
 import io
 import itertools
-import json
 import re
 from pathlib import Path
 
@@ -186,18 +185,14 @@ def test_errors_of_replay_are_one_line_with_the_cure(arguments, cure, capsys):
     assert error.startswith("jaxmc: ") and error.count("\n") == 1 and cure in error
 
 
-def test_scenes_come_from_files_too(monkeypatch, capsys):
-    Path("room.json").write_text(json.dumps({}))
-    monkeypatch.setattr(mc, "load_scene", lambda path: (SCENE, CAMERA if path == "room.json" else None), raising=False)
-    assert main(["render", "room.json", "--view", "depth"]) == 0
+def test_scenes_come_from_files_too(capsys):
+    mc.save_scene("room.json", SCENE, CAMERA)
+    assert main(["render", "room.json", "--view", "depth", "--hdr", "room.npy"]) == 0
+    np.testing.assert_array_equal(np.load("room.npy"), mc.view_depth(SCENE, CAMERA))
     assert Path("out/render/room-depth.png").exists()
+    mc.save_scene("dark.json", SCENE)
     assert main(["render", "dark.json"]) == 2 and "no camera" in capsys.readouterr().err
-
-    def missing(path):
-        raise FileNotFoundError(2, "No such file", path)
-
-    monkeypatch.setattr(mc, "load_scene", missing, raising=False)
-    assert main(["render", "gone.json"]) == 2 and "cannot be read (No such file)" in capsys.readouterr().err
+    assert main(["render", "gone.json"]) == 2 and "cannot be read (No such file" in capsys.readouterr().err
 
 
 def test_every_name_makes_a_scene():
