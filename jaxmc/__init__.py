@@ -44,13 +44,13 @@ from .transport.filters import BoxFilter as BoxFilter
 from .transport.filters import GaussianFilter as GaussianFilter
 from .transport.filters import MitchellFilter as MitchellFilter
 from .transport.filters import TentFilter as TentFilter
-from .transport.integrands import intersect as intersect
 from .transport.integrands import irradiance as irradiance
 from .transport.integrands import neumann_terms as neumann_terms
 from .transport.integrands import path_integrand as path_integrand
 from .transport.integrands import path_throughput as path_throughput
 from .transport.integrands import radiance as radiance
 from .transport.integrands import render as render
+from .transport.intersection import intersect as intersect
 from .transport.materials import Dielectric as Dielectric
 from .transport.materials import Diffuse as Diffuse
 from .transport.materials import Mirror as Mirror

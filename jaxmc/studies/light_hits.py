@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import binary_erosion
 
-from ..transport.integrands import intersect
+from ..transport.intersection import intersect
 from ..transport.materials import luminance
 
 

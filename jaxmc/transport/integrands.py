@@ -3,7 +3,7 @@
 import copy
 import dataclasses
 from functools import partial
-from typing import NamedTuple, Unpack
+from typing import Unpack
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from ..integration.moments import Moments, MomentsResult
 from ..integration.samplers import Independent
 from .camera import Camera
 from .film import on_film
-from .hits import Hit, Surface, approach, closest_hit, face_at, surface_at
+from .hits import Hit, Surface, approach, face_at
 from .lights import black
 from .materials import luminance
 from .paths import PathState, finish, follow, scatter, trace
@@ -25,7 +25,7 @@ from .primitives import as_unit, as_vec3, is_concrete
 from .rays import Ray, ray
 from .scene import Scene
 from .strategy import PathOptions, Strategy
-from .vec import Vec3, dot, normalize
+from .vec import Vec3, dot
 
 FAR = 8.0  # times the size of the scene: from there its rays start nearer
 
@@ -148,40 +148,6 @@ def path_throughput(scene: Scene, camera: Camera, *, events, directions="bsdf") 
     numbers = tuple(map(int, numbers))
     strategy = Strategy(max(numbers), directions, "none")
     return through_film(partial(_Throughput, events=numbers), scene, camera, strategy)
-
-
-class Intersection(NamedTuple):
-    """Closest hits: ``primitive`` (n,) is -1 and ``distance`` (n,) infinite for a miss; ``point`` and ``normal`` are
-    (n, 3), the normal on the side of the ray's origin. Primitives are numbered as they were given to the scene."""
-
-    distance: jax.Array
-    primitive: jax.Array
-    point: jax.Array
-    normal: jax.Array
-
-
-def intersect(scene: Scene, origins, directions) -> Intersection:
-    """Return the closest hits of rays: ``origins`` and ``directions`` of shape (n, 3), directions of any length.
-
-    Raises:
-        ValueError: arrays of other shapes, or a scene that is none.
-    """
-    _check(scene, Scene, "scene", "mc.Scene([...])")
-    if np.shape(origins) != np.shape(directions) or np.shape(origins)[1:] != (3,):
-        raise ValueError(f"rays must be two arrays of shape (n, 3), got {np.shape(origins)} and {np.shape(directions)}")
-    return _intersect(scene, jnp.asarray(scene.local(origins), float), jnp.asarray(directions, float))
-
-
-@jax.jit
-def _intersect(scene, origins, directions):
-    def one(origin, direction):
-        start, ahead = approach(scene, ray(Vec3(*origin), normalize(Vec3(*direction))))
-        hit = closest_hit(scene, start)
-        surface = surface_at(scene, start, hit)
-        point, normal = jnp.stack(surface.point) + scene.middle, jnp.stack(surface.normal)
-        return Intersection(hit.distance + ahead, scene.primitive_of(hit.face), point, normal)
-
-    return jax.vmap(one)(origins, directions)
 
 
 @dataclasses.dataclass(frozen=True)
