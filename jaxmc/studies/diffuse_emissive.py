@@ -111,6 +111,7 @@ def _show_convergence(report, settings, measured):
             report.value(f"predicted relative errors, {name}, {strategy}", predicted)
     for ax, label in zip(axes, ("samples per pixel", "seconds of all cores together")):
         ax.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of a pixel")
+        ax.xaxis.set_minor_formatter("")
         ax.grid(alpha=0.3)
     plot.shared_legend(fig)
     report.figure(fig, "convergence", "Circles and full lines: naive. Triangles and dashed lines: our default.")
@@ -192,6 +193,7 @@ def _show_time(report, settings, measured, times):
             rows.append([label, name, fixed, each, float(np.max(np.abs(column / (fixed + each * x) - 1.0)))])
             slopes.append(each)
         ax.set(xscale="log", yscale="log", xlabel=label, ylabel="seconds")
+        ax.yaxis.set_minor_formatter("")
         ax.legend(fontsize=8)
         ax.grid(alpha=0.3)
         report.value(f"seconds for each of {label}, wall and all cores", slopes)

@@ -133,9 +133,9 @@ def _show_builds(report, settings, builds):
     caption = "Ratios to the build of quads and boxes. Operations: numbers that a path computes, before XLA."
     report.table(headers, rows, caption)
     fig, (ax,) = plot.panels(1, 1, (6.6, 3.6))
-    bars = {s: [row[5] for row in rows if row[0] == s] for s in builds} | {
+    bars = {f"core seconds, {s}": [row[5] for row in rows if row[0] == s] for s in builds} | {
         "operations, naive": [row[8] / rows[len(BUILDS) - 1][8] for row in rows[: len(BUILDS)]],
-        "published": [PUBLISHED[build] / PUBLISHED[BUILDS[-1]] for build in BUILDS],
+        "published seconds": [PUBLISHED[build] / PUBLISHED[BUILDS[-1]] for build in BUILDS],
     }
     for k, (label, values) in enumerate(bars.items()):
         place = np.arange(len(BUILDS)) + 0.2 * (k - 1.5)
