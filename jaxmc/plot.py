@@ -237,6 +237,8 @@ def law(ax, x, curves, xlabel, ylabel, logx=True):
         else:
             ax.plot(x, exact, color=dots.get_color(), lw=1.2)
     ax.set(xscale="log" if logx else "linear", yscale="log", xlabel=xlabel, ylabel=ylabel)
+    ax.set_xticks(x, [f"{value:g}" for value in x])
+    ax.xaxis.set_minor_locator(NullLocator())
     ax.legend(fontsize=8)
     ax.grid(alpha=0.3)
 

@@ -96,7 +96,7 @@ def test_bright_pixels_hold_half_of_the_light():
 def test_photons_and_paths_bring_the_same_light(make):
     scene = make(0.1, 8)
     truth, error = caustic_scenes.caustic_by_photons(scene, 1 << 19, key=1)
-    options = {"spp": 1 << 13, "lights": "none"}
+    options = {"spp": 1 << 13, "lights": "mis"}
     paths = mc.render(scene.scene, scene.camera, bounces=scene.bounces, key=1, **options)
     direct = mc.render(scene.scene, scene.camera, bounces=1, key=2, **options)
     difference = (paths.mean - direct.mean)[..., 0] - truth
