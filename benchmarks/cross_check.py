@@ -43,12 +43,13 @@ LEVEL = 0.05
 
 def main():
     options = arguments()
-    found: dict = {"load_before": os.getloadavg(), "images": IMAGES, "masking": "own" if options.masking else "ours"}
+    found: dict = {"load_before": os.getloadavg(), "images": IMAGES, "seed": options.seed}
+    found["masking"] = "Mitsuba's" if options.masking else "correlated"
     found["scenes"] = {}
     with Peer(options.peers, "llvm_ad_rgb") as peer:
         print("scene                  spp   z by channel   relative error   pixel scores: mean, variance   left out")
         for number in options.numbers or range(options.scenes):
-            name, result = one_scene(peer, number, options.masking)
+            name, result = one_scene(peer, number, options.seed, options.masking)
             found["scenes"][name] = result
             print(line(name, result), flush=True)
             found["verdict"] = verdict(list(found["scenes"].values()))
@@ -61,13 +62,14 @@ def arguments():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=24, help="how many scenes, from the first on")
     parser.add_argument("--numbers", type=int, nargs="+", help="these scenes only")
+    parser.add_argument("--seed", type=int, default=0, help="other seeds are other samples")
     parser.add_argument("--masking", action="store_true", help="rough conductors as Mitsuba has them")
     parser.add_argument("--peers", type=Path, default=ROOT / ".venv-peers/bin/python", help="the Python with Mitsuba")
     parser.add_argument("--out", type=Path, default=RESULTS, help="the file of results")
     return parser.parse_args()
 
 
-def one_scene(peer, number, masking):
+def one_scene(peer, number, seed, masking):
     """Return the name of a scene and how both renderers compare on it."""
     name, scene, camera, options = random_scene(number)
     shape = camera.height * camera.width
@@ -79,10 +81,11 @@ def one_scene(peer, number, masking):
 
     description = describe(scene, camera, spp, options["bounces"])
     peer.about = peer.ask(description if masking else correlated(description))
-    theirs = np.stack([peer.render(spp, 1000 * number + k)[1] for k in range(IMAGES)])
+    seeds = [10000 * seed + 100 * number + k for k in range(IMAGES)]
+    theirs = np.stack([peer.render(spp, key)[1] for key in seeds])
     ours, variances, fourths = [], [], []
-    for k in range(IMAGES):
-        estimate = mc.render(scene, camera, spp=spp, key=1000 * number + k, tallies=tallies, **options)
+    for key in seeds:
+        estimate = mc.render(scene, camera, spp=spp, key=key, tallies=tallies, **options)
         ours.append(estimate.mean)
         (moments,) = estimate["pixels"]
         variances.append(moments.central[0])
