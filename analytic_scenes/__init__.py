@@ -10,6 +10,7 @@ from analytic_scenes import (
     caps,
     cavity,
     chains,
+    coverage,
     enclosures,
     exchange,
     fresnel_values,
@@ -25,6 +26,7 @@ from analytic_scenes import (
     mirror_rooms,
     mirrors,
     occlusion,
+    pixels,
     receivers,
     rough_metal,
     roulette,
@@ -37,6 +39,12 @@ from analytic_scenes import (
 )
 from analytic_scenes.caps import caps_irradiance, caps_overlap, parallelogram_caps, sphere_caps
 from analytic_scenes.checking import Check, check
+from analytic_scenes.coverage import (
+    disk_coverage,
+    ellipse_coverage,
+    half_plane_coverage,
+    sphere_outline,
+)
 from analytic_scenes.enclosures import ball_under_sky, concentric_spheres, kirchhoff_room, parallel_plates
 from analytic_scenes.exchange import (
     coaxial_disks,
@@ -85,6 +93,7 @@ from analytic_scenes.occlusion import (
     open_under_rectangle,
     open_under_two_spheres,
 )
+from analytic_scenes.pixels import half_plane_pixel, sphere_pixel
 from analytic_scenes.rough_metal import rough_floor, rough_floor_from_above
 from analytic_scenes.roulette import absorption_furnace, critical_roulette_albedo, path_length, roulette_furnace
 from analytic_scenes.scene import AnalyticScene, value_and_derivatives
@@ -107,7 +116,7 @@ from analytic_scenes.throughput import (
 
 FAMILIES = (
     furnace, enclosures, integrating_sphere, exchange, lights, lit_surfaces, occlusion, skies, shadows, mirrors,
-    mirror_rooms, mirror_balls, rough_metal, glass, throughput, roulette,
+    mirror_rooms, mirror_balls, rough_metal, glass, throughput, roulette, pixels,
 )  # fmt: skip
 
 
@@ -143,11 +152,14 @@ __all__ = [
     "coaxial_disks",
     "concentric_spheres",
     "corner_rectangle_irradiance",
+    "coverage",
     "critical_albedo",
     "critical_roulette_albedo",
     "cube_furnace",
+    "disk_coverage",
     "disk_of_ball_under_zonal_sky",
     "eclipsed_solid_angle",
+    "ellipse_coverage",
     "enclosures",
     "exchange",
     "facing_rectangles",
@@ -162,6 +174,8 @@ __all__ = [
     "glass",
     "glass_ball",
     "glass_plate",
+    "half_plane_coverage",
+    "half_plane_pixel",
     "inner_sphere",
     "integrands",
     "integrating_sphere",
@@ -195,6 +209,7 @@ __all__ = [
     "parallelogram_irradiance",
     "parallelogram_solid_angle",
     "path_length",
+    "pixels",
     "polygon_irradiance",
     "receivers",
     "rectangle_behind_rectangle",
@@ -228,7 +243,9 @@ __all__ = [
     "sphere_light_in_mirror_ball",
     "sphere_light_in_small_mirror",
     "sphere_light_over_rectangle",
+    "sphere_outline",
     "sphere_over_disk",
+    "sphere_pixel",
     "standing_rectangle",
     "standing_rectangle_irradiance",
     "tail_index",

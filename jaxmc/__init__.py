@@ -35,16 +35,22 @@ from .integration.tallies import Histogram as Histogram
 from .integration.tallies import TailHistogram as TailHistogram
 from .integration.tallies import TopSamples as TopSamples
 from .integration.techniques import Technique as Technique
+from .live import preview as preview
 from .transport.areas import irradiance_by_areas as irradiance_by_areas
 from .transport.camera import PinholeCamera as PinholeCamera
 from .transport.debug import replay as replay
-from .transport.integrands import intersect as intersect
+from .transport.debug import sample_index as sample_index
+from .transport.filters import BoxFilter as BoxFilter
+from .transport.filters import GaussianFilter as GaussianFilter
+from .transport.filters import MitchellFilter as MitchellFilter
+from .transport.filters import TentFilter as TentFilter
 from .transport.integrands import irradiance as irradiance
 from .transport.integrands import neumann_terms as neumann_terms
 from .transport.integrands import path_integrand as path_integrand
 from .transport.integrands import path_throughput as path_throughput
 from .transport.integrands import radiance as radiance
 from .transport.integrands import render as render
+from .transport.intersection import intersect as intersect
 from .transport.materials import Dielectric as Dielectric
 from .transport.materials import Diffuse as Diffuse
 from .transport.materials import Mirror as Mirror
@@ -56,11 +62,18 @@ from .transport.primitives import Box as Box
 from .transport.primitives import Quad as Quad
 from .transport.primitives import Sphere as Sphere
 from .transport.primitives import Triangle as Triangle
+from .transport.progressive import render_progressively as render_progressively
 from .transport.scene import Scene as Scene
 from .transport.scene_files import load_scene as load_scene
 from .transport.scene_files import save_scene as save_scene
 from .transport.sky import GradientSky as GradientSky
 from .transport.strategy import PathOptions as PathOptions
 from .transport.strategy import Roulette as Roulette
+from .transport.views import view_bounces as view_bounces
+from .transport.views import view_depth as view_depth
+from .transport.views import view_fireflies as view_fireflies
+from .transport.views import view_normals as view_normals
+from .transport.views import view_time as view_time
+from .transport.views import view_variance as view_variance
 
 __version__ = "0.1.0"

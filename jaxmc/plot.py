@@ -1,30 +1,27 @@
 """Figures: each function draws on the Axes that it is given. The only module that imports matplotlib."""
 
+import io
+
 import matplotlib
 import numpy as np
 from scipy import stats
 
+from .pictures import tone_map as tone_map
+
 matplotlib.use("Agg", force=False)
 import matplotlib.pyplot as plt
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, LogNorm, Normalize
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 SAMPLE_COUNT_COLORS = {16: "#d95f02", 128: "#7570b3", 1024: "#1b9e77"}
 
 
-def tone_map(image, exposure=1.0):
-    """Return display values in [0, 1] of a linear image: clip, then gamma 1 / 2.2. NaN becomes magenta."""
-    image = np.asarray(image, float) * exposure
-    bad = ~np.isfinite(image).all(-1)
-    shown = np.clip(np.nan_to_num(image), 0.0, 1.0) ** (1.0 / 2.2)
-    shown[bad] = (1.0, 0.0, 1.0)
-    return shown
-
-
-def images(pictures, columns=2, exposure=1.0):
-    """Return a figure of tone-mapped linear images, by title."""
+def images(pictures, columns=2, exposure=1.0, width=4.2):
+    """Return a figure of tone-mapped linear images, by title; ``width`` of each in inches."""
     rows = -(-len(pictures) // columns)
-    height, width = next(iter(pictures.values())).shape[:2]
-    size = (4.2 * columns, (4.2 * height / width + 0.35) * rows)
+    high, wide = next(iter(pictures.values())).shape[:2]
+    size = (width * columns, (width * high / wide + 0.35) * rows)
     fig, axes = plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained")
     for ax in axes.flat:
         ax.axis("off")
@@ -34,12 +31,33 @@ def images(pictures, columns=2, exposure=1.0):
     return fig
 
 
-def heat_map(ax, values, label, cmap="inferno"):
-    """Draw a map of one number for each pixel, with its scale."""
-    shown = ax.imshow(values, cmap=cmap, interpolation="nearest")
-    ax.set_xticks([])
-    ax.set_yticks([])
+def heat_map(ax, values, label, cmap="inferno", log=False, least=None):
+    """Draw a map of one number for each pixel, with its scale, from ``least`` on; grey where it is not finite."""
+    values = np.where(np.isfinite(values), values, np.nan)
+    ax.set_facecolor("0.75")
+    norm = LogNorm(clip=True) if log and (values > 0.0).any() else Normalize(vmin=least)
+    shown = ax.imshow(values, cmap=cmap, interpolation="nearest", norm=norm)
+    ax.set(xticks=[], yticks=[])
     ax.figure.colorbar(shown, ax=ax, label=label, shrink=0.8)
+
+
+def normals(ax, values):
+    """Draw a map of unit normals: x, y and z as red, green and blue; black where there are none."""
+    seen = np.any(values != 0.0, -1, keepdims=True)
+    ax.imshow(np.clip(np.where(seen, 0.5 * values + 0.5, 0.0), 0.0, 1.0), interpolation="nearest")
+    ax.set(xticks=[], yticks=[])
+    for name, channel in (("z", 2), ("y", 1), ("x", 0)):
+        colors = np.full((256, 3), 0.5)
+        colors[:, channel] = np.linspace(0.0, 1.0, 256)
+        scale = ScalarMappable(Normalize(-1.0, 1.0), ListedColormap(colors))
+        ax.figure.colorbar(scale, ax=ax, label=f"{name} of the normal", shrink=0.8, pad=0.02)
+
+
+def png(fig) -> bytes:
+    """Return a figure as PNG, and close it."""
+    fig.savefig(content := io.BytesIO(), format="png", dpi=120)
+    plt.close(fig)
+    return content.getvalue()
 
 
 def exceedance(ax, curve, threshold=None):
@@ -208,6 +226,30 @@ def rates(ax, x, curves, least, xlabel, ylabel):
     ax.annotate("none", (x[0], least), (0, 3), textcoords="offset points", fontsize=8, color="0.4")
     ax.legend(fontsize=8)
     ax.grid(alpha=0.3)
+
+
+def law(ax, x, curves, xlabel, ylabel, logx=True):
+    """Draw what was measured (dots) beside what a law says (lines); ``curves``: label -> (measured, law or None)."""
+    for label, (measured, exact) in curves.items():
+        (dots,) = ax.plot(x, measured, "o", ms=4.5, label=label)
+        if exact is None:
+            ax.plot(x, measured, color=dots.get_color(), lw=0.8, alpha=0.7)
+        else:
+            ax.plot(x, exact, color=dots.get_color(), lw=1.2)
+    ax.set(xscale="log" if logx else "linear", yscale="log", xlabel=xlabel, ylabel=ylabel)
+    ax.set_xticks(x, [f"{value:g}" for value in x])
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.legend(fontsize=8)
+    ax.grid(alpha=0.3)
+
+
+def bars(ax, labels, values, xlabel, log=True):
+    """Draw a number for each label, the first one on top."""
+    ax.barh(labels, values, color="#08519c", height=0.7)
+    ax.invert_yaxis()
+    ax.set(xscale="log" if log else "linear", xlabel=xlabel)
+    ax.tick_params(axis="y", labelsize=8)
+    ax.grid(alpha=0.3, axis="x")
 
 
 OWN_COLORS = {

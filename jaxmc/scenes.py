@@ -1,11 +1,14 @@
 """The scenes of the studies and benchmarks, each with the camera that looks at it."""
 
 import dataclasses
+from functools import partial
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from .transport.camera import Camera, PinholeCamera
 from .transport.materials import Diffuse, Mirror
-from .transport.primitives import Quad, Sphere
+from .transport.primitives import Box, Primitive, Quad, Sphere, Triangle
 from .transport.scene import Scene
 
 WHITE, RED, GREEN = (0.73, 0.73, 0.73), (0.65, 0.05, 0.05), (0.12, 0.45, 0.15)
@@ -14,7 +17,7 @@ WHITE, RED, GREEN = (0.73, 0.73, 0.73), (0.65, 0.05, 0.05), (0.12, 0.45, 0.15)
 class Parts(NamedTuple):
     """What a scene is built from; ``view`` holds the arguments of ``PinholeCamera``, the size of the image aside."""
 
-    primitives: list[Quad | Sphere]
+    primitives: list[Primitive]
     view: dict[str, Any]
 
 
@@ -99,3 +102,94 @@ def closed_sparkle_box(albedo, width=128, height=128) -> tuple[Scene, Camera]:
     walls = _room((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5), white, white, white, front=True)
     camera = PinholeCamera((0, 0, 0.45), (0, 0, 0), fov=80, width=width, height=height)
     return Scene([*walls, _lamp((0.0, 0.499, 0.0), 0.25, 8.0, albedo)]), camera
+
+
+def orb(sky=False, width=128, height=128) -> tuple[Scene, Camera]:
+    """Return a small bright orb over a floor with a clay ball, in the dark or under a blue ``sky``."""
+    things = [
+        Quad((-30, 0, 30), (60, 0, 0), (0, 0, -60), Diffuse(0.7)),
+        Sphere((-0.9, 0.5, -0.5), 0.5, Diffuse((0.7, 0.35, 0.2))),
+        Sphere((0.4, 0.9, 0.0), 0.12, Diffuse(0.0), emission=25.0),
+    ]
+    camera = PinholeCamera((0, 1.5, 5.0), (-0.1, 0.6, 0), fov=40, width=width, height=height)
+    return Scene(things, sky=(0.3, 0.5, 0.9) if sky else None), camera
+
+
+BUILDS = ("triangles", "quads", "boxes")
+
+
+def cornell_blocks(ceiling=False, build="boxes", width=128, height=128) -> tuple[Scene, Camera]:
+    """Return the Cornell box with two turned blocks on its floor, lit by a small bright lamp or by its whole ceiling.
+
+    Both lights emit the same power. With ``ceiling`` the light is one of the five walls, and the scene consists of 30
+    triangles, of 15 quads, or of 5 quads and 2 boxes; a small lamp is one quad or two triangles more.
+
+    Args:
+        ceiling: whether the whole ceiling shines.
+        build: "triangles", "quads" or "boxes": what the same surfaces are made of. Boxes have a bottom face too, on the
+            floor, which nothing can see.
+        width, height: of the image in pixels.
+
+    Raises:
+        ValueError: another ``build``.
+    """
+    if build not in BUILDS:
+        raise ValueError(f"build must be one of {', '.join(BUILDS)}, got {build!r}")
+    white, half, emission = Diffuse(WHITE), 0.25, 15.0
+    quads = _room((-1, -1, -1), (1, 1, 1), Diffuse(RED), Diffuse(GREEN), white)
+    if ceiling:
+        quads[1] = dataclasses.replace(quads[1], material=Diffuse(0.0), emission=emission * half**2)
+    else:
+        quads.append(_lamp((0, 0.99, 0), half, emission))
+    blocks = [_block((-0.36, -0.4, -0.3), (0.6, 1.2, 0.6), 18.0), _block((0.36, -0.7, 0.3), (0.6, 0.6, 0.6), -18.0)]
+    parts: list[Primitive] = [*quads, *blocks]
+    if build != "boxes":
+        parts = [*quads, *(side for block in blocks for side in _sides(block))]
+    if build == "triangles":
+        parts = [half for quad in parts for half in _halves(quad)]
+    camera = PinholeCamera((0, 0, 3.9), (0, 0, 0), fov=40, width=width, height=height)
+    return Scene(parts), camera
+
+
+def _block(center, size, degrees):
+    """Return a white box, turned about the vertical axis."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return Box(center, size, ((c, 0.0, -s), (0.0, 1.0, 0.0), (s, 0.0, c)), Diffuse(WHITE))
+
+
+def _sides(box):
+    """Return the faces of a box as quads, its bottom left out."""
+    x, y, z = np.array(box.size)[:, None] * np.array(box.axes)
+    low = np.array(box.center) - 0.5 * (x + y + z)
+    places = [(low + y, z, x), (low, z, y), (low + x, y, z), (low, y, x), (low + z, x, y)]
+    return [Quad(*place, box.material) for place in places]
+
+
+def _halves(quad):
+    """Return the two triangles of a quad."""
+    a, u, v = (np.array(x, np.float64) for x in (quad.corner, quad.edge_u, quad.edge_v))
+    corners = [(a, a + u, a + u + v), (a, a + u + v, a + v)]
+    return [Triangle(*three, quad.material, quad.emission) for three in corners]
+
+
+def many_spheres(count, width=128, height=128, seed=0) -> tuple[Scene, Camera]:
+    """Return ``count`` diffuse spheres of one size at random places in the unit cube, under a sky; they may overlap."""
+    centers = np.random.default_rng(seed).uniform(0.1, 0.9, (count, 3))
+    spheres = [Sphere(center, 0.3 / count ** (1 / 3), Diffuse(0.5)) for center in centers]
+    camera = PinholeCamera((0.5, 0.5, 2.5), (0.5, 0.5, 0.5), fov=40, width=width, height=height)
+    return Scene(spheres, sky=1.0), camera
+
+
+# Scenes that the command line knows by name; each makes a scene and its camera.
+SCENES = {
+    "cornell-box": cornell_box,
+    "cornell-blocks": cornell_blocks,
+    "cornell-blocks-ceiling": partial(cornell_blocks, ceiling=True),
+    "mirror-box": mirror_box,
+    "mirror-box-diffuse": partial(mirror_box, mirror=False),
+    "sparkle-box": sparkle_box,
+    "closed-sparkle-box": partial(closed_sparkle_box, albedo=0.95),
+    "orb": orb,
+    "orb-sky": partial(orb, sky=True),
+    "many-spheres": partial(many_spheres, 100),
+}

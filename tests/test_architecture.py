@@ -7,6 +7,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 TOP = "integration transport analysis gradients backend report plot scenes testing race other_integrators known"
+TOP += " pictures live"
 # room -> the rooms that it may import, besides itself. "" is `jaxmc` itself, that is, the public names.
 ALLOWED = {
     "backend": "",
@@ -16,7 +17,9 @@ ALLOWED = {
     "transport": "integration backend",
     "analysis": "integration backend",
     "gradients": "integration transport backend",
-    "plot": "analysis",
+    "pictures": "",
+    "plot": "analysis pictures",
+    "live": "integration transport plot pictures",
     "scenes": "transport",
     "race": "analysis",
     "other_integrators": "",
@@ -25,7 +28,9 @@ ALLOWED = {
 EDGES = {room: {room, *rooms.split()} for room, rooms in ALLOWED.items()}
 EDGES["bench"] = {"", "bench", *TOP.split()}
 EDGES["studies"] = {"", "studies", *TOP.split()}
-EDGES[""] = EDGES["cli"] = EDGES["__main__"] = {"cli", "bench", *EDGES["studies"]}
+EDGES["render_command"] = {"render_command", *EDGES["studies"]}
+EDGES["study_commands"] = {"study_commands", *EDGES["render_command"]}
+EDGES[""] = EDGES["cli"] = EDGES["__main__"] = {"cli", "bench", *EDGES["study_commands"]}
 FILES = sorted(path for package in ("jaxmc", "analytic_scenes") for path in (ROOT / package).rglob("*.py"))
 
 

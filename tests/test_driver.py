@@ -882,3 +882,11 @@ MISTAKES = [
 def test_mistakes_are_refused(call, match):
     with pytest.raises(ValueError, match=re.escape(match)):
         call()
+
+
+def test_a_family_larger_than_a_call_counts_its_samples():
+    # One call holds at least a block of 64 rows: here each call has a part of the integrals.
+    family = mc.Integrand(lambda u, item: u[0], 1)
+    for n in (1, 3, 65):
+        estimate = mc.integrate_each(family, 3 * 960, n=n, chunk=1)
+        assert estimate.n == n and (estimate.moments[0].n == n).all()

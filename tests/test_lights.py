@@ -12,6 +12,7 @@ from jaxmc.testing import SPHERE, assert_equivalent, assert_jacobian, assert_sam
 from jaxmc.transport import lights, paths, sky
 from jaxmc.transport.vec import Vec3
 
+SLOW = pytest.mark.slow
 BLACK, Z = mc.Diffuse(0.0), (0.0, 0.0, 1.0)
 PICKS = ("uniform", "power", "distance")
 
@@ -38,9 +39,13 @@ def irradiance(primitives, **options):
     return mc.irradiance(mc.Scene(primitives), (0, 0, 0), Z, bounces=0, **options)
 
 
-@pytest.mark.parametrize("strategy", ["nee", "mis"])
-@pytest.mark.parametrize("pick", PICKS)
-@pytest.mark.parametrize("count", [3, 14])
+CASES = [(count, pick, strategy) for count in (3, 14) for pick in PICKS for strategy in ("nee", "mis")]
+QUICK = {(3, "power", "mis"), (14, "distance", "mis")}
+
+
+@pytest.mark.parametrize(
+    ("count", "pick", "strategy"), [c if c in QUICK else pytest.param(*c, marks=SLOW) for c in CASES]
+)
 def test_many_lights_add_up(count, pick, strategy):
     primitives, exact = lamps(count)
     integrand = irradiance(primitives, pick=pick, lights=strategy)
@@ -48,7 +53,7 @@ def test_many_lights_add_up(count, pick, strategy):
     assert_unbiased(mc.integrate(integrand, n=1 << 20, key=1), exact, 4e-3)
 
 
-@pytest.mark.parametrize("strategy", ["nee", "mis"])
+@pytest.mark.parametrize("strategy", ["mis", pytest.param("nee", marks=SLOW)])
 def test_spheres_of_all_kinds_add_up(strategy):
     # From inside a large ball that shines inward: pi Le. Two-sided balls show their outside.
     around = mc.Sphere((0, 0, 0), 50.0, BLACK, 0.5, inward=True)
@@ -63,6 +68,7 @@ def test_spheres_of_all_kinds_add_up(strategy):
         assert_unbiased(mc.integrate(integrand, n=1 << 22, key=1), exact, 4e-3)
 
 
+@SLOW
 def test_better_picks_have_less_variance():
     near = mc.Quad((0.2, 0.2, 0.3), (0, 0.2, 0), (0.2, 0, 0), BLACK, 3.0)
     far = [mc.Quad((k, 3.0, 6.0), (0, 0.2, 0), (0.2, 0, 0), BLACK, 3.0) for k in range(6)]
@@ -75,7 +81,7 @@ def test_better_picks_have_less_variance():
 
 
 @pytest.mark.parametrize("count", [5, 14])
-@pytest.mark.parametrize("pick", PICKS)
+@pytest.mark.parametrize("pick", ["distance", *(pytest.param(p, marks=SLOW) for p in ("uniform", "power"))])
 def test_lights_are_picked_as_often_as_their_probability_says(pick, count):
     scene = mc.Scene(lamps(count)[0])
     point, normal = Vec3(*map(jnp.asarray, (0.3, -0.2, 0.1))), Vec3(*map(jnp.asarray, (0.6, 0.0, 0.8)))
@@ -123,7 +129,7 @@ SKIES = {
 }
 
 
-@pytest.mark.parametrize("name", SKIES)
+@pytest.mark.parametrize("name", [n if n == "with a ground" else pytest.param(n, marks=SLOW) for n in SKIES])
 def test_the_sky_is_drawn_by_its_density(name):
     table, _ = SKIES[name]
     normal = Vec3(*map(jnp.float32, (0.36, -0.48, 0.8)))
@@ -139,7 +145,7 @@ def test_the_sky_is_drawn_by_its_density(name):
     assert assert_jacobian(sample, pdf) < 2e-3
 
 
-@pytest.mark.parametrize("strategy", ["nee", "mis"])
+@pytest.mark.parametrize("strategy", ["mis", pytest.param("nee", marks=SLOW)])
 def test_a_sampled_sky_lights_as_much(strategy):
     overcast = mc.GradientSky((1.0, 2.0), up=Z, ground=0.0)
     integrand = mc.irradiance(mc.Scene([], sky=overcast), (0, 0, 0), Z, bounces=0, lights=strategy, sample_sky=True)
@@ -155,6 +161,7 @@ def test_a_floor_hides_the_sky_below_it():
     assert_unbiased(mc.integrate(integrand, n=1 << 20, key=1), np.pi / 2.0, 1e-2)
 
 
+@SLOW
 def test_sky_and_lights_are_sampled_side_by_side():
     primitives, exact = lamps(3)
     scene = mc.Scene(primitives, sky=0.4)
@@ -169,7 +176,9 @@ def test_sky_and_lights_are_sampled_side_by_side():
 # ---------------------------------------------------------------------------------------- roulette, terms
 
 
-@pytest.mark.parametrize(("survival", "after"), [(0.7, 0), (0.7, 2), (0.9, 0)])
+@pytest.mark.parametrize(
+    ("survival", "after"), [(0.7, 2), *(pytest.param(*case, marks=SLOW) for case in [(0.7, 0), (0.9, 0)])]
+)
 def test_roulette_keeps_the_mean_and_has_the_variance_of_the_closed_form(survival, after):
     exact = roulette_furnace(survival=survival, guaranteed=after)
     scene = analytic_scenes.sphere_furnace(albedo=0.6, emission=1.0, bounces=6)
@@ -190,14 +199,14 @@ def test_throughput_roulette_is_unbiased_and_ends_dark_paths():
 
 
 def test_terms_by_length_add_up_sample_by_sample():
-    scene = analytic_scenes.cube_furnace(albedo=0.5, emission=1.0, bounces=4, lights="mis").integrand.params[0]
+    scene = analytic_scenes.sphere_furnace(albedo=0.5, emission=1.0, bounces=2).integrand.params[0]
     camera = mc.PinholeCamera((0.1, 0.2, 0.3), (1, 0, 0), fov=60, width=4, height=4)
-    terms = mc.neumann_terms(scene, camera, bounces=4)
-    whole = mc.path_integrand(scene, camera, bounces=4)
+    terms = mc.neumann_terms(scene, camera, bounces=2)
+    whole = mc.path_integrand(scene, camera, bounces=2)
     u = np.random.default_rng(2).uniform(size=(5000, terms.dim)).astype(np.float32)
     np.testing.assert_allclose(np.asarray(terms.batch(u)).sum(1), np.asarray(whole.batch(u)), rtol=1e-5)
     estimate = mc.integrate(terms, n=1 << 20, key=1)
-    assert_unbiased(estimate, 0.5 ** np.arange(5), 4e-3)
+    assert_unbiased(estimate, 0.5 ** np.arange(3), 4e-3)
     with pytest.raises(ValueError, match="clamp"):
         mc.neumann_terms(scene, camera, bounces=2, clamp=3.0)
 

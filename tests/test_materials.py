@@ -9,6 +9,7 @@ from jaxmc.testing import assert_equivalent, assert_unbiased
 from jaxmc.transport import bsdfs, fresnel, microfacets
 
 Z = (0.0, 0.0, 1.0)
+SLOW = pytest.mark.slow
 UPPER = mc.GradientSky([1.0], up=Z, ground=0.0)  # white above the horizon, black below
 # The directional albedo of GGX with height-correlated masking: (cosine, alpha) -> value; formula G03 of Heitz 2014 by
 # quadrature to 1e-14.
@@ -52,8 +53,10 @@ def test_a_slab_reflects_between_its_faces():
     assert_unbiased(mc.integrate(integrand, n=1 << 22, key=1), 2.0 * R_60 / (1.0 + R_60), 2e-3)
 
 
-@pytest.mark.parametrize("ior", [1.5, 1.0, 0.7])
-@pytest.mark.parametrize("shape", ["sphere", "box"])
+@pytest.mark.parametrize(
+    ("shape", "ior"),
+    [("sphere", 1.5), ("box", 1.5), *(pytest.param(s, n, marks=SLOW) for s in ("sphere", "box") for n in (1.0, 0.7))],
+)
 def test_glass_in_a_white_furnace_cannot_be_seen(shape, ior):
     # Each path brings the radiance of the sky, but for those that are still inside at the end.
     glass = mc.Dielectric(ior)
@@ -77,8 +80,9 @@ def test_total_reflection_keeps_light_inside():
 @pytest.mark.parametrize(
     ("cosine", "alpha", "directions"),
     [
-        *[(*key, "bsdf") for key in ALBEDOS],
-        (0.5, 0.5, "cosine"),
+        (0.2, 0.5, "bsdf"),
+        *[pytest.param(*key, "bsdf", marks=SLOW) for key in ALBEDOS if key != (0.2, 0.5)],
+        pytest.param(0.5, 0.5, "cosine", marks=SLOW),
         pytest.param(0.5, 1.0, "uniform", marks=pytest.mark.slow),
     ],
 )
@@ -87,7 +91,7 @@ def test_a_rough_metal_in_a_white_furnace(cosine, alpha, directions):
     assert_unbiased(mc.integrate(integrand, n=1 << 22, key=1), ALBEDOS[cosine, alpha], 2e-3)
 
 
-@pytest.mark.parametrize("lights", ["mis", "nee"])
+@pytest.mark.parametrize("lights", ["mis", pytest.param("nee", marks=SLOW)])
 def test_a_rough_metal_under_a_sampled_sky(lights):
     options = {"bounces": 1, "lights": lights, "sample_sky": True}
     integrand = seen([mc.Quad(*FLOOR, mc.RoughConductor(0.5))], 0.5, **options)
@@ -118,18 +122,22 @@ def room(material, directions="bsdf", lights="mis"):
     return mc.path_integrand(mc.Scene(primitives, 0.3), camera, bounces=3, directions=directions, lights=lights)
 
 
-@pytest.mark.parametrize("other", [{"lights": "none"}, {"lights": "nee"}, {"directions": "cosine"}])
+@pytest.mark.parametrize(
+    "other", [{"lights": "none"}, *(pytest.param(o, marks=SLOW) for o in ({"lights": "nee"}, {"directions": "cosine"}))]
+)
 def test_strategies_agree_on_a_rough_ball(other):
     material = mc.RoughConductor(0.4, (0.9, 0.6, 0.3))
     a, b = (mc.integrate(room(material, **options), n=1 << 21, key=k) for k, options in enumerate(({}, other)))
     assert_equivalent(a, b, 4e-3)
 
 
+@SLOW
 def test_strategies_agree_on_a_glass_ball():
     a, b = (mc.integrate(room(mc.Dielectric(), lights=how), n=1 << 21, key=k) for k, how in enumerate(("mis", "none")))
     assert_equivalent(a, b, 6e-3)
 
 
+@SLOW
 def test_a_receiver_on_metal_or_glass_is_diffuse():
     for material in (mc.RoughConductor(0.3), mc.Dielectric(), mc.Mirror()):
         scene = mc.Scene([mc.Quad(*FLOOR, material)], sky=1.0)
@@ -156,7 +164,10 @@ SHOWN_BY = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("what", MUTANTS)
+QUICK = {"index upside down", "no masking"}
+
+
+@pytest.mark.parametrize("what", [w if w in QUICK else pytest.param(w, marks=SLOW) for w in MUTANTS])
 def test_mutants_are_found(what, monkeypatch):
     module, name, mutate = MUTANTS[what]
     make, exact = SHOWN_BY[name]

@@ -27,6 +27,7 @@ def test_occlusion_beside_a_sphere(directions):
     assert_unbiased(mc.integrate(integrand, n=1 << 20, key=1), exact, 2e-3)
 
 
+@pytest.mark.slow
 def test_more_directions_divide_what_the_point_does_not_explain():
     # At one point all variance is that of directions: m of them leave 1 / m of it.
     scene, camera, exact = beside_sphere()
@@ -42,6 +43,7 @@ def test_only_what_is_within_reach_counts_and_a_missed_scene_is_open():
     assert mc.integrate(mc.ambient_occlusion(scene, away), n=1 << 12, key=1).mean == 1.0
 
 
+@pytest.mark.slow
 def test_each_pixel_has_its_own():
     scene, _, _ = beside_sphere()
     camera = mc.PinholeCamera((-3.0, 0.5, 2.0), (0, 0, 0), up=Z, fov=60, width=8, height=6)
@@ -54,7 +56,9 @@ def test_each_pixel_has_its_own():
 CORNER, EDGE_U, EDGE_V = (-0.6, -0.5, 0.6), (0.0, 1.0, 0.2), (1.2, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("kind", ["quad", "triangles", "two-sided"])
+@pytest.mark.parametrize(
+    "kind", ["triangles", *(pytest.param(k, marks=pytest.mark.slow) for k in ("quad", "two-sided"))]
+)
 def test_direct_light_over_areas(kind):
     a, u, v = map(np.array, (CORNER, EDGE_U, EDGE_V))
     lamp = {
@@ -68,6 +72,7 @@ def test_direct_light_over_areas(kind):
     assert_unbiased(mc.integrate(integrand, n=1 << 20, key=1), exact, 2e-3)
 
 
+@pytest.mark.slow
 def test_a_sphere_light_over_its_area():
     scene = analytic_scenes.sphere_light()
     room, *_ = scene.integrand.params

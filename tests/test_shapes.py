@@ -14,6 +14,7 @@ from jaxmc.transport import hits, rays, shape_tables
 from jaxmc.transport.vec import Vec3
 
 BLACK, WHITE = mc.Diffuse(0.0), mc.Diffuse(1.0)
+SLOW = pytest.mark.slow
 TURN = Rotation.from_euler("xyz", (0.3, -0.7, 1.1)).as_matrix()
 CORNER, EDGE_U, EDGE_V = (-0.6, -0.5, 0.6), (0.0, 1.0, 0.2), (1.2, 0.0, 0.0)
 
@@ -73,8 +74,14 @@ def distances(primitive, origin, direction):
     return np.min(sides, 0)
 
 
-@pytest.mark.parametrize("count", [3, 40], ids=["one by one", "table"])
-@pytest.mark.parametrize("kind", ["triangle", "box", "sphere", "quad"])
+@pytest.mark.parametrize(
+    ("kind", "count"),
+    [
+        ("triangle", 3),
+        ("box", 40),
+        *(pytest.param(*case, marks=SLOW) for case in [("box", 3), ("triangle", 40), ("sphere", 40), ("quad", 40)]),
+    ],
+)
 def test_closest_hits_are_those_of_float64(kind, count):
     primitives, (origin, direction) = random_primitives(kind, count), random_rays(20_000)
     scene = mc.Scene(primitives)
@@ -153,7 +160,7 @@ def closed_room(kind):
     return [mc.Triangle(*points[list(s)], WHITE) for s in ConvexHull(points).simplices]
 
 
-@pytest.mark.parametrize("kind", ["box", "triangles"])
+@pytest.mark.parametrize("kind", ["box", pytest.param("triangles", marks=SLOW)])
 def test_no_ray_leaves_a_closed_room(kind):
     primitives = closed_room(kind)
     scene = mc.Scene(primitives)
@@ -198,13 +205,13 @@ def halves(**options):
     return [mc.Triangle(a, a + u, a + v, **options), mc.Triangle(a + u + v, a + v, a + u, **options)]
 
 
-@pytest.mark.parametrize("lights", ["nee", "mis", "none"])
+@pytest.mark.parametrize("lights", ["mis", *(pytest.param(how, marks=SLOW) for how in ("nee", "none"))])
 def test_two_triangles_shine_like_their_quad(lights):
     integrand = irradiance(halves(material=BLACK, emission=5.0), lights=lights)
     assert_unbiased(mc.integrate(integrand, n=1 << 22, key=1), exact_quad(), 2e-3)
 
 
-@pytest.mark.parametrize("lights", ["nee", "mis"])
+@pytest.mark.parametrize("lights", ["nee", pytest.param("mis", marks=SLOW)])
 def test_a_two_sided_light_shines_to_both_sides(lights):
     back = mc.Quad(CORNER, EDGE_V, EDGE_U, BLACK, 5.0)
     assert mc.integrate(irradiance([back], lights=lights), n=1 << 16, key=1).mean == 0.0
@@ -215,7 +222,7 @@ def test_a_two_sided_light_shines_to_both_sides(lights):
         assert_unbiased(mc.integrate(irradiance(primitives, lights=lights), n=1 << 22, key=1), exact_quad(), 2e-3)
 
 
-@pytest.mark.parametrize("lights", ["nee", "mis"])
+@pytest.mark.parametrize("lights", ["nee", pytest.param("mis", marks=SLOW)])
 def test_a_box_shines_like_its_faces(lights):
     # What a receiver sees of a convex box are its faces that turn to it.
     box = mc.Box((0.2, 0.1, 1.5), (0.6, 0.8, 0.5), TURN, BLACK, 2.0)
@@ -231,7 +238,7 @@ def test_a_box_shines_like_its_faces(lights):
     assert_unbiased(mc.integrate(irradiance([box], lights=lights), n=1 << 22, key=1), exact, 2e-3)
 
 
-@pytest.mark.parametrize("two_sided", [False, True])
+@pytest.mark.parametrize("two_sided", [False, pytest.param(True, marks=SLOW)])
 def test_inside_a_white_hot_box_everything_is_a_furnace(two_sided):
     # Radiance Le (1 + rho + ... + rho^n) wherever one looks.
     room = mc.Box((0.1, 0.2, 0.3), (1.0, 1.2, 0.8), TURN, mc.Diffuse(0.5), 1.0, inward=True, two_sided=two_sided)
@@ -240,6 +247,7 @@ def test_inside_a_white_hot_box_everything_is_a_furnace(two_sided):
     assert_unbiased(mc.integrate(integrand, n=1 << 20, key=2), 1.9375, 2e-3)
 
 
+@SLOW
 def test_shadows_of_a_table_are_those_of_its_shapes():
     balls = random_primitives("sphere", 40) + random_primitives("box", 20, 8) + random_primitives("triangle", 30, 9)
     lamp = mc.Sphere((0, 0, 4.0), 0.5, BLACK, 3.0)

@@ -6,6 +6,7 @@ the order of the blocks: a result is the same, bit for bit, for any chunk size a
 
 import itertools
 import time
+from collections.abc import Iterator
 from operator import itemgetter
 from typing import Any
 
@@ -66,7 +67,7 @@ def integrate(
         blocks, rows = max(blocks, min(replicates, MOST_BLOCKS)), SMALL
     run = Run(integrand, key, sampler, replicates, tallies, workers, blocks, rows)
     if n is not None:
-        with Progress(progress, run.points(n) * (replicates or 1)) as bar:
+        with Progress(progress, run.total(n)) as bar:
             return run.stream(n, bar)
     with Progress(progress, None) as bar:
         return stopping.run_until(target, run, bar)
@@ -74,7 +75,7 @@ def integrate(
 
 def integrate_each(
     f: Integrand, items: int, *, n, key=0, sampler=Independent(), replicates=None, tallies=None, progress=None,
-    workers=None, chunk=None,
+    workers=None, chunk=None, kept=Moments(order=2),
 ) -> Estimate:  # fmt: skip
     """Estimate a family of integrals, ``n`` samples each: an image is one integral for each pixel.
 
@@ -82,15 +83,22 @@ def integrate_each(
     has index ``s * items + i`` for independent points. For others its low word is s, counted in each randomisation, and
     its high word is ``r * items + i`` for randomisation r. Moments have a leading axis of length ``items``; tallies
     that are pooled run over all samples of all items. Arguments and errors otherwise as in ``integrate``.
+
+    ``kept`` is the tally that mean and error come from: ``Moments``, or one whose state is a list of sums such as those
+    of ``Moments``, which may let a sample count in more than one item.
     """
-    f = as_integrand(f)
-    n, items = positive("n", n), positive("items", items)
+    n, run = positive("n", n), family_run(f, items, key, sampler, replicates, tallies, workers, chunk, kept)
+    with Progress(progress, run.total(n)) as bar:
+        return run.family(n, bar)
+
+
+def family_run(f, items, key, sampler, replicates, tallies, workers, chunk, kept=Moments(order=2)) -> "Run":
+    """Return the run of a family of integrals before its first sample; arguments as in ``integrate_each``."""
+    f, items = as_integrand(f), positive("items", items)
     replicates = _replicates(replicates, sampler, REPLICATES_EACH)
     lanes = lanes_for(items)
     blocks = min(_blocks(chunk), -(-items // lanes))
-    run = Run(f, key, sampler, replicates, tallies, workers, blocks, ROWS, items, lanes)
-    with Progress(progress, run.points(n) * (replicates or 1) * items) as bar:
-        return run.family(n, bar)
+    return Run(f, key, sampler, replicates, tallies, workers, blocks, kept=kept, items=items, lanes=lanes)
 
 
 def _blocks(chunk):
@@ -117,12 +125,13 @@ class Run:
     """The tallies of one estimate while it grows.
 
     Attributes:
-        n: samples folded so far, of each integral of a family.
+        n: samples folded so far, of each integral of a family; ``drawn``: of all integrals together.
         seconds: wall time since the start, compilation included.
     """
 
     def __init__(
-        self, integrand, key, sampler, replicates, tallies, workers, blocks, rows=ROWS, items=None, lanes=None
+        self, integrand, key, sampler, replicates, tallies, workers, blocks, rows=ROWS, kept=Moments(), items=None,
+        lanes=None,
     ):  # fmt: skip
         backend.check_arithmetic()
         if "moments" in (tallies or {}):
@@ -130,16 +139,20 @@ class Run:
         self.started = time.perf_counter()
         self.integrand, self.sampler, self.replicates = jax.tree.map(_as_array, integrand), sampler, replicates
         self.key, self.seed = key, seed_words(key)
-        self.tallies = {"moments": Moments(order=2 if items else 4), **(tallies or {})}
+        self.tallies = {"moments": kept, **(tallies or {})}
         self.workers, self.blocks, self.rows = workers or backend.workers(), blocks, rows
         self.items, self.lanes = items, lanes
         self.apart = "moments" if replicates else None  # the tally whose state each replicate has for itself
         self.states: dict[str, Any] = {}
-        self.used, self.n = 0, 0
+        self.used, self.n, self.drawn = 0, 0, 0
 
     @property
     def seconds(self):
         return time.perf_counter() - self.started
+
+    def total(self, n):
+        """Return how many samples there will be in all if ``n`` are asked for."""
+        return self.points(n) * (self.replicates or 1) * (self.items or 1)
 
     def points(self, n):
         """Return how many points each randomisation gets, or all together, if there are to be ``n`` samples."""
@@ -155,16 +168,25 @@ class Run:
 
     def family(self, n, bar) -> Estimate:
         """Return the estimate of a family of integrals from ``n`` samples each."""
+        *_, estimate = self.passes(n, bar, lambda ranges: [ranges])
+        return estimate
+
+    def passes(self, n, bar, cut) -> Iterator[Estimate]:
+        """Yield an estimate of a family after each list of ranges that ``cut`` makes of those of all its samples."""
         points = self.points(n)
-        jobs = item_jobs(self._ranges(points), self.items, self.blocks, self.lanes, self.sampler.independent)
-        self._add(jobs, points, bar)
-        return self._estimate(points)
+        ranges = self._ranges(points)
+        if self.replicates and self.sampler.independent:
+            # Independent points know no randomisations: give each replicate samples of its own.
+            ranges = [(r, r * points, (r + 1) * points) for r, _, _ in ranges]
+        for some in cut(ranges):
+            self._add(item_jobs(some, self.items, self.blocks, self.lanes, self.sampler.independent), points, bar)
+            yield self._estimate(points)
 
     def _ranges(self, points):
         """Return the samples to add: those that are missing, or new randomisations, for which others are forgotten."""
         if self.replicates is None:
             return [(0, self.n, points)]
-        first, self.states, self.n = self.used, {}, 0
+        first, self.states, self.n, self.drawn = self.used, {}, 0, 0
         self.used += self.replicates
         return [(r, 0, points) for r in range(first, self.used)]
 
@@ -199,7 +221,9 @@ class Run:
             self._begin(records, example)
             for name, tally in self.tallies.items():
                 self._fold(name, tally, records[name], job)
-            self.n += job.samples // (self.items or 1)
+            # One call may hold fewer samples than there are integrals.
+            self.drawn += job.samples
+            self.n = self.drawn // (self.items or 1)
             bar.update(job.samples)
             if time.perf_counter() > deadline:
                 return False
@@ -220,12 +244,12 @@ class Run:
 
     def _fold(self, name, tally, record, job):
         state = self.states[name]
+        if self.spread and name == self.apart:
+            self.spread.begin(job.replicate[0])
         if tally.pooled:
             extra = {"index": job.index} if "value" in record else {}
             tally.add(state, record, **extra)
         elif self.items:
-            if name == self.apart and self.spread:
-                self.spread.begin(job.replicate[0])
             # Lanes are integrals: drop the lanes behind the last one.
             count = len(range(*job.items.indices(self.items)))
             flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], record)
@@ -255,6 +279,6 @@ class Run:
         results = {name: t.result(self.states[name]) for name, t in self.tallies.items() if name != "moments"}
         recipe = {"key": self.key, "sampler": repr(self.sampler), "n": self.n}
         if self.replicates:
-            recipe |= {"replicates": self.replicates, "points": points}
+            recipe |= {"replicates": self.n // points, "points": points}
         structure = jax.tree.structure(self.example)
         return Estimate(moments, self.n, results, self.seconds, recipe, structure, between, means)

@@ -30,6 +30,7 @@ class Estimate:
         between: moments of the means of independent randomisations; None where the samples are independent.
         replicate_means: those means, shape (R, ...) for each leaf; None for a family of integrals.
         reached: whether the target was met; None where there was none.
+        ratio: whether it is a ratio of sums, such as a pixel with a filter: then no interval follows from bounds.
     """
 
     moments: list[MomentsResult]
@@ -41,6 +42,7 @@ class Estimate:
     between: list[MomentsResult] | None = None
     replicate_means: list[np.ndarray] | None = None
     reached: bool | None = None
+    ratio: bool = False
 
     def __getitem__(self, name):
         return self.tallies[name]

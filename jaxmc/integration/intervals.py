@@ -39,6 +39,8 @@ def interval(estimate, level, method, bounds) -> Interval:
     if not 0.0 < level < 1.0:
         raise ValueError(f"level must lie between 0 and 1, got {level}")
     method = method or (_default(estimate) if bounds is None else BOUNDED)
+    if method == BOUNDED and estimate.ratio:
+        raise ValueError(f'the method "{BOUNDED}" is for plain means, and this is a ratio of sums; leave bounds out')
     if method == BOUNDED:
         ends = [_bounded(m, level, bounds) for m in _records(estimate)]
     elif method in (_natural(estimate), _default(estimate)):

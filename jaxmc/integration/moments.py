@@ -143,6 +143,13 @@ class _PowerSums:
     def zeros(cls, shape, order):
         return cls(np.zeros(shape), np.zeros(shape), np.zeros((order, *shape)), np.zeros((order, *shape)))
 
+    @property
+    def shape(self):
+        return self.center.shape
+
+    def empty(self):
+        return _PowerSums.zeros(self.shape, len(self.total))
+
     @np.errstate(all="ignore")  # samples that are not finite make sums that are not: that is said by their number
     def add(self, leaf, where):
         n, mean, scale = (np.asarray(leaf[k], np.float64) for k in ("count", "mean", "scale"))
@@ -197,17 +204,18 @@ class _PowerSums:
             central[:, piece] = [x / n[piece] for x in _shift(n[piece], powers, -shift)[1:]]
         np.maximum(central[0], 0.0, out=central[0])
         shape = self.center.shape
-        return MomentsResult(self.n, mean.reshape(shape), [x.reshape(shape) for x in central], self.nonfinite)
+        return MomentsResult(self.n.copy(), mean.reshape(shape), [x.reshape(shape) for x in central], self.nonfinite)
 
 
 class Replicates:
     """The moments of independent randomisations of a family, one after the other: pooled over all samples, and of their
-    means. ``current`` holds the sums of the randomisation under way, one ``_PowerSums`` to a leaf."""
+    means. ``current`` holds the sums of the randomisation under way, one ``_PowerSums`` to a leaf, or what has its
+    ``shape``, ``empty``, ``clear``, ``merge`` and ``moments``."""
 
     def __init__(self, current):
         self.current, self.under_way = current, None
-        self.pooled = [_PowerSums.zeros(sums.center.shape, len(sums.total)) for sums in current]
-        self.between = [_PowerSums.zeros(sums.center.shape, 2) for sums in current]
+        self.pooled = [sums.empty() for sums in current]
+        self.between = [_PowerSums.zeros(sums.shape, 2) for sums in current]
 
     def begin(self, replicate):
         """Say that the next samples belong to this randomisation."""
@@ -217,7 +225,7 @@ class Replicates:
 
     def _close(self):
         for sums, pooled, between in zip(self.current, self.pooled, self.between, strict=True):
-            mean, zero = sums.moments().mean, np.zeros_like(sums.center)
+            mean, zero = sums.moments().mean, np.zeros(sums.shape)
             record = {"count": zero + 1.0, "mean": mean, "scale": zero, "powers": [zero, zero], "nonfinite": zero}
             between.add(record, ...)
             pooled.merge(sums)

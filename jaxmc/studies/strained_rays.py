@@ -10,7 +10,8 @@ from ..integration.draw import draw
 from ..integration.driver import integrate
 from ..transport import warps
 from ..transport.camera import PinholeCamera
-from ..transport.integrands import intersect, irradiance, path_integrand
+from ..transport.integrands import irradiance, path_integrand
+from ..transport.intersection import intersect
 from ..transport.materials import Diffuse, Mirror
 from ..transport.primitives import Quad, Sphere
 from ..transport.scene import Scene

@@ -17,12 +17,13 @@ from .vec import Vec3, cross, dot, normalize
 @partial(
     jax.tree_util.register_dataclass,
     data_fields=["origin", "right", "down", "forward"],
-    meta_fields=["width", "height"],
+    meta_fields=["width", "height", "antialias"],
 )
 @dataclasses.dataclass(frozen=True)
 class Camera:
     """A camera as the kernel uses it: the direction to film position (x, y) in [-1, 1]^2 is
-    ``forward + right * x + down * y``, before normalisation.
+    ``forward + right * x + down * y``, before normalisation. ``antialias``: rays lie anywhere in a pixel, not in its
+    middle.
 
     ``given`` are the arguments of ``PinholeCamera``; not part of the pytree, so a camera that went through a
     transformation of JAX has none.
@@ -36,6 +37,7 @@ class Camera:
     forward: Vec3
     width: int
     height: int
+    antialias: bool = True
 
     def ray(self, x, y) -> Ray:
         """Return the ray through film position (x, y), in pixels from the top left corner."""
@@ -43,8 +45,10 @@ class Camera:
         return ray(self.origin, normalize(self.forward + self.right * s + self.down * t))
 
 
-def PinholeCamera(origin, target, up=(0.0, 1.0, 0.0), fov=40.0, width=256, height=256) -> Camera:
-    """Return a pinhole camera; the film is sampled uniformly within each pixel (box filter).
+def PinholeCamera(
+    origin, target, up=(0.0, 1.0, 0.0), fov=40.0, width=256, height=256, antialias=True
+) -> Camera:  # fmt: skip
+    """Return a pinhole camera; the film is sampled uniformly within each pixel.
 
     Args:
         origin: where the eye is.
@@ -53,15 +57,20 @@ def PinholeCamera(origin, target, up=(0.0, 1.0, 0.0), fov=40.0, width=256, heigh
         fov: vertical field of view in degrees, between 0 and 180.
         width: pixels from left to right.
         height: pixels from top to bottom; pixel (0, 0) is top left.
+        antialias: False sends every ray through the middle of its pixel. The samples of ``render`` then have no film
+            coordinates, and its edges are jagged; the two of ``path_integrand`` only choose the pixel.
 
     Raises:
-        ValueError: a size that is not a positive integer, a field of view out of range, or a view along ``up``.
+        ValueError: a size that is not a positive integer, a field of view out of range, an ``antialias`` that is
+            neither True nor False, or a view along ``up``.
     """
     given = dict(locals())
     for name, value in (("width", width), ("height", height)):
         positive(f"PinholeCamera {name}", value, most=1 << 15)
     if not (is_number(fov) and 0.0 < fov < 180.0):
         raise ValueError(f"PinholeCamera fov must lie between 0 and 180 degrees, got {fov!r}")
+    if not isinstance(antialias, bool):
+        raise ValueError(f"PinholeCamera antialias must be True or False, got {antialias!r}")
     origin, target, up = (
         as_vec3(f"PinholeCamera {k}", v) for k, v in (("origin", origin), ("target", target), ("up", up))
     )
@@ -79,6 +88,6 @@ def PinholeCamera(origin, target, up=(0.0, 1.0, 0.0), fov=40.0, width=256, heigh
     vectors: Any = [
         Vec3(*(np.asarray(c, np.float64) if is_concrete(c) else c for c in v)) for v in (origin, right, down, forward)
     ]
-    camera = Camera(*vectors, int(width), int(height))
+    camera = Camera(*vectors, int(width), int(height), antialias)
     object.__setattr__(camera, "given", given)
     return camera

@@ -1,5 +1,6 @@
 """Replay of single paths: any sample of an image, vertex by vertex, from its index alone."""
 
+import dataclasses
 import itertools
 from functools import partial
 from operator import itemgetter
@@ -8,21 +9,25 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
+from ..integration.counts import is_count, positive
 from ..integration.draw import is_index, point_tables
 from ..integration.samplers import Independent, Index, index_words, seed_words
+from .bsdfs import kinds_of
 from .camera import Camera
+from .hits import closest_hit, surface_at
 from .integrands import path_integrand
 from .materials import luminance
-from .paths import trace
+from .paths import _roulette, begin, finish, scatter
 from .scene import Scene
-from .vec import Vec3
+from .strategy import Roulette
 
 
 class Vertex(NamedTuple):
     """One scattering event. ``throughput`` and ``gained`` are luminances: of the path before the event, and of the
     radiance that the event added, by a sampled light or by what the next ray ``met``: "light", "sky", "surface" or
-    "nothing"."""
+    "nothing"; "roulette" where the path ended here. The ``normal`` is on the side that the path came from."""
 
     kind: str
     primitive: int
@@ -60,10 +65,12 @@ class Path(NamedTuple):
     def __str__(self):
         value = ", ".join(f"{v:.6g}" for v in np.atleast_1d(self.value))
         head = f"sample {self.index}, pixel {self.pixel}: value {value}\n{self.line}\n"
-        columns = f"{'':>3} {'kind':8} {'prim':>4} {'x':>11} {'y':>11} {'z':>11} {'throughput':>12} {'gained':>12}\n"
+        columns = (
+            f"{'':>3} {'kind':8} {'prim':>4} {'x':>11} {'y':>11} {'z':>11} {'throughput':>12} {'gained':>12} then\n"
+        )
         rows = [
             f"{i:>3} {v.kind:8} {v.primitive:>4} {v.point[0]:>11.6f} {v.point[1]:>11.6f} {v.point[2]:>11.6f} "
-            f"{v.throughput:>12.6g} {v.gained:>12.6g}"
+            f"{v.throughput:>12.6g} {v.gained:>12.6g} {v.met}"
             for i, v in enumerate(self.vertices, 1)
         ]
         return head + columns + "\n".join([*rows, f"ends at: {self.end}"])
@@ -107,44 +114,85 @@ def replay(
     seen = jax.tree.map(np.asarray, seen)
     paths = []
     for k, (index, pixel) in enumerate(zip(several, pixels, strict=True)):
-        value, direct, events = jax.tree.map(itemgetter(k), seen)
-        paths.append(_path(scene, camera, index, pixel, value, direct, events or {"face": ()}))
+        paths.append(_path(scene, camera, index, pixel, *jax.tree.map(itemgetter(k), seen)))
     return paths[0] if np.ndim(indices) == 0 else paths
+
+
+def sample_index(camera: Camera, pixel, sample, *, sampler=Independent(), points=None) -> int:
+    """Return the index, for ``replay``, of a sample of ``render``: the ``sample``-th, from 0, of ``pixel``, a (column,
+    row) from the top left.
+
+    ``points``: ``estimate.recipe["points"]``, for samplers whose points are not independent.
+
+    Raises:
+        ValueError: a pixel outside of the image, a sample that is no integer >= 0, or no ``points``.
+    """
+    size = camera.width, camera.height
+    inside = np.shape(pixel) == (2,) and all(is_count(p, 0, s - 1) for p, s in zip(pixel, size, strict=True))
+    if not inside:
+        raise ValueError(f"pixel must be (column, row) inside of {size[0]} x {size[1]} pixels, got {pixel!r}")
+    if not is_count(sample, least=0):
+        raise ValueError(f"sample must be an integer >= 0, got {sample!r}")
+    pixels, number = size[0] * size[1], int(pixel[1]) * size[0] + int(pixel[0])
+    if sampler.independent:
+        return int(sample) * pixels + number
+    if points is None:
+        raise ValueError(f"{sampler!r} has randomisations of some points each: pass points=estimate.recipe['points']")
+    randomisation, point = divmod(int(sample), positive("points", points))
+    return (randomisation * pixels + number << 32) + point
 
 
 @partial(jax.jit, static_argnames="sampler")
 def _replay(integrand, tables, seed, words, pixels, sampler):
-    def observe(surface, after):
-        return {
-            "face": surface.face, "point": jnp.stack(surface.point), "normal": jnp.stack(surface.normal),
-            "throughput": luminance(after.beta), "radiance": luminance(after.radiance), "next": after.hit.face,
-        }  # fmt: skip
+    strategy = integrand.fn.strategy
+    scene, camera = integrand.params
+    film, stride = integrand.fn.first(camera, 0), len(strategy.coordinates(scene))
 
     def one(words, pixel):
-        scene, camera = integrand.params
         u = sampler.point(seed, Index(words[0], words[1]), *tables)
         start = integrand.fn.start(u, scene, camera, pixel)
-        radiance, seen = trace(scene, integrand.fn.strategy, u, 2, start, observe)
-        direct, _ = trace(scene, integrand.fn.strategy.without_bounces(), u, 2, start)
-        value = jnp.stack(radiance) if isinstance(radiance, Vec3) else radiance
-        return value, luminance(direct), seen
+        state = begin(scene, strategy, start, closest_hit(scene, start))
+        direct, first_face = luminance(state.radiance), state.hit.face
+
+        def event(state, k):
+            surface, first = surface_at(scene, state.ray, state.hit), film + stride * k
+            after = scatter(scene, strategy, u, first, surface, state, event=k)
+            return after, {
+                "face": surface.face, "point": jnp.stack(surface.point), "normal": jnp.stack(surface.normal),
+                "throughput": luminance(after.beta), "radiance": luminance(after.radiance), "next": after.hit.face,
+                "survives": survives(state, surface, u, first, k),
+            }  # fmt: skip
+
+        def survives(state, surface, u, first, k):
+            if strategy.roulette is None:
+                return True
+            # Scatter without risk, on the same coordinates, to know the throughput that roulette saw.
+            safe = dataclasses.replace(strategy, roulette=Roulette(1.0))
+            beta = scatter(scene, safe, u, first, surface, state, event=k).beta
+            # The last coordinate of an event is for roulette.
+            return _roulette(strategy.roulette, beta, kinds_of(scene, surface), k, u[first + stride - 1])[0]
+
+        state = jax.tree.map(lambda x: jnp.asarray(x, float if jnp.result_type(x).kind == "f" else None), state)
+        state, seen = lax.scan(event, state, jnp.arange(strategy.bounces))
+        return finish(strategy, state.radiance), direct, first_face, seen
 
     return jax.vmap(one)(words, pixels)
 
 
-def _path(scene, camera, index, pixel, value, direct, events) -> Path:
+def _path(scene, camera, index, pixel, value, direct, first_face, events) -> Path:
     vertices, throughput, collected = [], 1.0, float(direct)
     for k in range(len(events["face"])):
         face = int(events["face"][k])
         if face < 0:
             break
-        total, met = float(events["radiance"][k]), _met(scene, int(events["next"][k]))
+        total = float(events["radiance"][k])
+        met = _met(scene, int(events["next"][k])) if events["survives"][k] else "roulette"
         point, normal = events["point"][k] + scene.middle, events["normal"][k]
         vertices.append(
             Vertex(_kind(scene, face), scene.owner[face], point, normal, throughput, total - collected, met)
         )
         throughput, collected = float(events["throughput"][k]), total
-    end = vertices[-1].met if vertices else ("light or sky" if direct > 0.0 else "nothing")
+    end = vertices[-1].met if vertices else _met(scene, int(first_face))
     pixel = (int(pixel) % camera.width, int(pixel) // camera.width)
     return Path(int(index), pixel, value, vertices, "last bounce" if end == "surface" else end, float(direct))
 

@@ -3,7 +3,7 @@
 import copy
 import dataclasses
 from functools import partial
-from typing import NamedTuple, Unpack
+from typing import Unpack
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,8 @@ from ..integration.integrand import Integrand
 from ..integration.moments import Moments, MomentsResult
 from ..integration.samplers import Independent
 from .camera import Camera
-from .hits import Hit, Surface, approach, closest_hit, face_at, surface_at
+from .film import on_film
+from .hits import Hit, Surface, approach, face_at
 from .lights import black
 from .materials import luminance
 from .paths import PathState, finish, follow, scatter, trace
@@ -24,7 +25,7 @@ from .primitives import as_unit, as_vec3, is_concrete
 from .rays import Ray, ray
 from .scene import Scene
 from .strategy import PathOptions, Strategy
-from .vec import Vec3, dot, normalize
+from .vec import Vec3, dot
 
 FAR = 8.0  # times the size of the scene: from there its rays start nearer
 
@@ -33,9 +34,10 @@ def path_integrand(scene: Scene, camera: Camera, *, bounces, **options: Unpack[P
     """Return the mean radiance of a camera's image as one flat integral.
 
     The first two coordinates are the film position (x, y) over the whole image, then come 2 to 8 for each scattering
-    event; ``Integrand.labels`` names them. The value is radiance, linear: a number for a grey scene, else RGB of shape
-    (3,). ``jax.grad`` with respect to the scene's values gives the interior derivative only: what moving silhouettes
-    and shadow edges add is missing.
+    event; ``Integrand.labels`` names them. Where the camera has ``antialias=False`` the first two only choose the
+    pixel, and ``render``, which knows it, begins with the scattering events. The value is radiance, linear: a number
+    for a grey scene, else RGB of shape (3,). ``jax.grad`` with respect to the scene's values gives the interior
+    derivative only: what moving silhouettes and shadow edges add is missing.
 
     Args:
         scene: what is there.
@@ -88,8 +90,8 @@ def irradiance(scene: Scene, point, normal, *, bounces, **options: Unpack[PathOp
 
 
 def render(
-    scene: Scene, camera: Camera, *, spp, bounces=5, key=0, sampler=Independent(), replicates=None, tallies=None,
-    progress=None, workers=None, chunk=None, **options: Unpack[PathOptions],
+    scene: Scene, camera: Camera, *, spp, bounces=5, key=0, sampler=Independent(), replicates=None, filter=None,
+    tallies=None, progress=None, workers=None, chunk=None, **options: Unpack[PathOptions],
 ) -> Estimate:  # fmt: skip
     """Render an image: one integral for each pixel, ``spp`` samples each.
 
@@ -98,14 +100,29 @@ def render(
     afresh for each pixel and replicate, of which there are 4 by default.
     Path options as in ``path_integrand``, the rest as in ``integrate``.
 
+    ``filter=None`` makes a pixel the mean of its own samples. With a filter, such as ``MitchellFilter()``, samples are
+    the same but count in all pixels around: a pixel is the sum of weight times radiance over the sum of the weights.
+    There are no samples outside of the image: at its border a pixel is a mean over the part of the filter inside. That
+    ratio has a bias of the order of 1 / spp, far below its error; ``stderr`` is that of the ratio, to first order, from
+    the spread of the samples in each pixel around, or from that of the images where there are replicates.
+    ``variance`` is spp times its square, for points that are independent. Neighbours share samples, so their errors are
+    correlated. A value that is not finite spoils all pixels in reach. Tallies see the samples by themselves.
+
     Returns:
         An ``Estimate`` whose mean, variance and stderr have shape ``(height, width, 3)``: radiance, not clipped.
         ``Moments`` among ``tallies`` come back in that shape too.
+
+    Raises:
+        ValueError: as in ``path_integrand`` and ``integrate``, or a filter that is none, or one for a camera without
+            anti-aliasing.
     """
     integrand = path_integrand(scene, camera, bounces=bounces, **options)
+    kept, seen = Moments(order=2), tallies
+    if filter is not None:
+        integrand, kept, seen = on_film(integrand, filter, camera, tallies)
     estimate = integrate_each(
         integrand, camera.width * camera.height, n=positive("spp", spp), key=key, sampler=sampler,
-        replicates=replicates, tallies=tallies, progress=progress, workers=workers, chunk=chunk,
+        replicates=replicates, tallies=seen, progress=progress, workers=workers, chunk=chunk, kept=kept,
     )  # fmt: skip
     further = {
         name: [_as_image(m, camera) for m in result] if isinstance((tallies or {})[name], Moments) else result
@@ -113,6 +130,9 @@ def render(
     }
     moments = [_as_image(m, camera) for m in estimate.moments]
     between = estimate.between and [_as_image(m, camera) for m in estimate.between]
+    if filter is not None:
+        recipe = estimate.recipe | {"filter": repr(filter)}
+        estimate = dataclasses.replace(estimate, structure=jax.tree.structure(0), recipe=recipe, ratio=True)
     return dataclasses.replace(estimate, moments=moments, tallies=further, between=between)
 
 
@@ -130,40 +150,6 @@ def path_throughput(scene: Scene, camera: Camera, *, events, directions="bsdf") 
     return through_film(partial(_Throughput, events=numbers), scene, camera, strategy)
 
 
-class Intersection(NamedTuple):
-    """Closest hits: ``primitive`` (n,) is -1 and ``distance`` (n,) infinite for a miss; ``point`` and ``normal`` are
-    (n, 3), the normal on the side of the ray's origin. Primitives are numbered as they were given to the scene."""
-
-    distance: jax.Array
-    primitive: jax.Array
-    point: jax.Array
-    normal: jax.Array
-
-
-def intersect(scene: Scene, origins, directions) -> Intersection:
-    """Return the closest hits of rays: ``origins`` and ``directions`` of shape (n, 3), directions of any length.
-
-    Raises:
-        ValueError: arrays of other shapes, or a scene that is none.
-    """
-    _check(scene, Scene, "scene", "mc.Scene([...])")
-    if np.shape(origins) != np.shape(directions) or np.shape(origins)[1:] != (3,):
-        raise ValueError(f"rays must be two arrays of shape (n, 3), got {np.shape(origins)} and {np.shape(directions)}")
-    return _intersect(scene, jnp.asarray(scene.local(origins), float), jnp.asarray(directions, float))
-
-
-@jax.jit
-def _intersect(scene, origins, directions):
-    def one(origin, direction):
-        start, ahead = approach(scene, ray(Vec3(*origin), normalize(Vec3(*direction))))
-        hit = closest_hit(scene, start)
-        surface = surface_at(scene, start, hit)
-        point, normal = jnp.stack(surface.point) + scene.middle, jnp.stack(surface.normal)
-        return Intersection(hit.distance + ahead, scene.primitive_of(hit.face), point, normal)
-
-    return jax.vmap(one)(origins, directions)
-
-
 @dataclasses.dataclass(frozen=True)
 class Film:
     """Radiance through a film position: of the whole image, or of one pixel where its number is given.
@@ -174,16 +160,29 @@ class Film:
     strategy: Strategy
     far: bool
 
+    def first(self, camera, pixel=None):
+        """Return the first coordinate of the scattering events."""
+        return 2 if camera.antialias or pixel is None else 0
+
     def start(self, u, scene, camera, pixel=None):
         if pixel is None:
-            first = camera.ray(u[0] * camera.width, u[1] * camera.height)
+            x, y = u[0] * camera.width, u[1] * camera.height
+            if not camera.antialias:
+                # Rounding up may lead to the pixel behind the last one.
+                x = jnp.minimum(jnp.floor(x), camera.width - 1) + 0.5
+                y = jnp.minimum(jnp.floor(y), camera.height - 1) + 0.5
+            first = camera.ray(x, y)
         else:
             column, row = pixel % camera.width, pixel // camera.width
-            first = camera.ray(column.astype(float) + u[0], row.astype(float) + u[1])
+            if camera.antialias:
+                first = camera.ray(column.astype(float) + u[0], row.astype(float) + u[1])
+            else:
+                first = camera.ray(column.astype(float) + 0.5, row.astype(float) + 0.5)
         return approach(scene, first)[0] if self.far else first
 
     def __call__(self, u, scene, camera, pixel=None):
-        return finish(self.strategy, trace(scene, self.strategy, u, 2, self.start(u, scene, camera, pixel))[0])
+        start = self.start(u, scene, camera, pixel)
+        return finish(self.strategy, trace(scene, self.strategy, u, self.first(camera, pixel), start)[0])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -196,7 +195,8 @@ class _Throughput(Film):
         def observe(surface, after):
             return jnp.where(surface.face >= 0, luminance(after.beta), 0.0)
 
-        _, throughput = trace(scene, self.strategy, u, 2, self.start(u, scene, camera, pixel), observe)
+        start = self.start(u, scene, camera, pixel)
+        _, throughput = trace(scene, self.strategy, u, self.first(camera, pixel), start, observe)
         return jnp.asarray(throughput)[jnp.array(self.events) - 1]
 
 
@@ -204,9 +204,9 @@ class _Terms(Film):
     """Radiance through a film position by path length."""
 
     def __call__(self, u, scene, camera, pixel=None):
-        start = self.start(u, scene, camera, pixel)
-        direct, _ = trace(scene, self.strategy.without_bounces(), u, 2, start)
-        _, totals = trace(scene, self.strategy, u, 2, start, lambda surface, after: after.radiance)
+        start, first = self.start(u, scene, camera, pixel), self.first(camera, pixel)
+        direct, _ = trace(scene, self.strategy.without_bounces(), u, first, start)
+        _, totals = trace(scene, self.strategy, u, first, start, lambda surface, after: after.radiance)
         values = jnp.stack(direct) if isinstance(direct, Vec3) else direct
         if totals is None:
             return values[None]
@@ -252,7 +252,7 @@ def through_film(kind, scene, camera, strategy=None, labels=()) -> Integrand:
     _check(scene, Scene, "scene", "mc.Scene([...])")
     _check(camera, Camera, "camera", "mc.PinholeCamera(...)")
     camera, far = _local(scene, camera)
-    return _integrand(kind(strategy, far), scene, (camera,), ("film: x", "film: y", *labels))
+    return _integrand(kind(strategy, far), scene, (camera,), (*_film_labels(camera), *labels))
 
 
 def _local(scene, camera):
@@ -260,6 +260,10 @@ def _local(scene, camera):
     origin = scene.local(camera.origin)
     near = is_concrete((origin, scene.reach)) and dot(origin, origin) < (FAR * scene.reach) ** 2
     return dataclasses.replace(camera, origin=origin), not near
+
+
+def _film_labels(camera):
+    return ("film: x", "film: y") if camera.antialias else ("film: column", "film: row")
 
 
 def _integrand(fn, scene, params, labels, extra=0):

@@ -5,6 +5,7 @@ from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from ..integration.counts import positive
 from ..integration.integrand import Integrand
@@ -53,10 +54,12 @@ class _Occlusion(Film):
     def __call__(self, u, scene, camera, pixel=None):
         start = self.start(u, scene, camera, pixel)
         hit = closest_hit(scene, start)
-        surface = surface_at(scene, start, hit)
-        free = 0.0
-        for k in range(2, 2 + 2 * self.directions, 2):
-            wi, _, _ = sample_diffuse("cosine", surface.normal, u[k], u[k + 1])
+        surface, first = surface_at(scene, start, hit), self.first(camera, pixel)
+
+        def add(free, k):
+            wi, _, _ = sample_diffuse("cosine", surface.normal, u[first + 2 * k], u[first + 2 * k + 1])
             is_free = unoccluded(scene, rays.ray(surface.point, wi), self.reach, surface.face, None, anywhere=True)
-            free = free + jnp.where(is_free, 1.0 / self.directions, 0.0)
+            return free + jnp.where(is_free, 1.0 / self.directions, 0.0), None
+
+        free, _ = lax.scan(add, jnp.zeros(()), jnp.arange(self.directions))
         return jnp.where(hit.face >= 0, free, 1.0)

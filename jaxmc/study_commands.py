@@ -1,0 +1,116 @@
+"""The studies as commands: ``jaxmc study NAME``."""
+
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from .known import collection
+from .render_command import seed
+from .studies import (
+    calibration,
+    caustic,
+    diffuse_emissive,
+    flat_vs_nested,
+    light_sampling,
+    mirror_box,
+    primitives,
+    sparkles,
+    stability,
+)
+
+
+class Study(NamedTuple):
+    """A study: what it is about, its module, and its settings by name, each with its default and what it means."""
+
+    about: str
+    module: ModuleType
+    settings: dict[str, tuple[Any, str]]
+
+
+STUDIES = {
+    "mirror-box": Study(
+        "why the mirror box sparkles, and what clamping costs",
+        mirror_box,
+        {"spp": (2048, "samples per pixel of the references (default 2048)")},
+    ),
+    "sparkles": Study(
+        "uniform against cosine-weighted directions in a box with a gap",
+        sparkles,
+        {"paths": (1 << 24, "paths searched for the extreme one (default 2^24)")},
+    ),
+    "calibration": Study(
+        "do intervals cover known integrals as often as they say?",
+        calibration,
+        {"replicates": (300, "estimates of each integral (default 300)")},
+    ),
+    "stability": Study(
+        "what rounding does: scenes, rays and numbers at their limits",
+        stability,
+        {
+            "events": (10**7, "scattering events in each closed room (default 10^7; 10^9 is a test)"),
+            "scenes": (
+                collection(),
+                "scenes whose bias is measured, as module:name (default: those that `jaxmc scenes` lists)",
+            ),
+        },
+    ),
+    "diffuse-emissive": Study(
+        "what naive paths hit: why a small light is noise",
+        diffuse_emissive,
+        {
+            "spp": (256, "most samples per pixel (default 256)"),
+            "size": (128, "width and height in pixels (default 128)"),
+        },
+    ),
+    "primitives": Study(
+        "what triangles, quads and boxes cost, and 1 to 1000 spheres",
+        primitives,
+        {
+            "spp": (32, "samples per pixel (default 32; the source has 100)"),
+            "size": (256, "width and height (default 256; the source has 512)"),
+            "rounds": (3, "renders of each build, in turn (default 3)"),
+        },
+    ),
+    "flat-vs-nested": Study(
+        "two nested integrals, or one flat one; recursion that branches",
+        flat_vs_nested,
+        {"rays": (4096, "rays of one estimate, a power of two (default 2^12)")},
+    ),
+    "light-sampling": Study(
+        "how paths find light: every strategy beside exact values",
+        light_sampling,
+        {"samples": (1 << 20, "samples of one estimate (default 2^20)")},
+    ),
+    "caustic": Study(
+        "a caustic of a small light, which no local sampler finds",
+        caustic,
+        {
+            "spp": (256, "samples per pixel of the pictures (default 256)"),
+            "samples": (1 << 22, "samples of one point (default 2^22)"),
+        },
+    ),
+}
+
+
+def add_commands(commands) -> None:
+    """Add ``study`` and its studies to what argparse's ``add_subparsers`` returned."""
+    studies = commands.add_parser("study", help="run a study and write its report").add_subparsers(
+        required=True, metavar="STUDY"
+    )
+    for name, study in STUDIES.items():
+        command = studies.add_parser(name, help=study.about)
+        for setting, (default, meaning) in study.settings.items():
+            command.add_argument(
+                f"--{setting}", type=int if isinstance(default, int) else str, default=default, help=meaning
+            )
+        command.add_argument("--out", default=f"out/{name}", help=f"folder of the report (default out/{name})")
+        command.add_argument("--seed", type=int, default=0, help="seed (default 0)")
+        command.add_argument("--quiet", action="store_true", help="no progress bar")
+        command.set_defaults(run=_run, study=study)
+
+
+def _run(options) -> int:
+    study = options.study
+    chosen = {setting: getattr(options, setting) for setting in study.settings}
+    settings = study.module.Settings(**chosen, seed=seed(options), progress=not options.quiet)
+    print(f"report: {study.module.run(options.out, settings)}")
+    return 0
