@@ -104,7 +104,23 @@ def film():
     return lambda u: eye.ray(48.0 * u[0], 32.0 * u[1]).direction, pdf, directions(eye.forward, 1.0)
 
 
+def rough_metal():
+    """Return directions that a rough metal scatters into, and the density that a direction toward a light is given."""
+    scene = mc.Scene([mc.Quad((-1, -1, 0), (2, 0, 0), (0, 2, 0), mc.RoughConductor(0.5))])
+    surface = hits.Surface(Vec3(0.0, 0.0, 0.0), Vec3(0.0, 0.0, 1.0), 1.0, jnp.zeros((), jnp.int32))
+    kinds, arriving = bsdfs.kinds_of(scene, surface), Vec3(*map(jnp.asarray, (0.6, 0.0, -0.8)))
+
+    def sample(u):
+        return bsdfs.sample_bsdf(scene, "bsdf", surface, kinds, arriving, u[0], u[1]).wi
+
+    def pdf(w):
+        return bsdfs.evaluate_bsdf(scene, "bsdf", surface, kinds, arriving, w, w.z)[1]
+
+    return sample, pdf, SPHERE
+
+
 PAIRS = {
+    "sample_bsdf of rough metal": rough_metal,
     "sample_cosine_hemisphere": cosine_hemisphere,
     "sample_uniform_hemisphere": uniform_hemisphere,
     "sample_diffuse, cosine, tilted": lambda: diffuse("cosine", (0.3, -0.8, 0.4)),
