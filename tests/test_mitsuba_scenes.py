@@ -126,6 +126,8 @@ def test_what_mitsuba_cannot_have_is_refused():
         describe(mc.Scene([grey, mc.Sphere((0, 0, 0), 1, emission=1, two_sided=True)]), None, 1, 1)
     with pytest.raises(ValueError, match=r"GradientSky.*envmap"):
         describe(mc.Scene([], mc.GradientSky((1, 1))), None, 1, 1)
+    with pytest.raises(ValueError, match="antialias=False"):
+        describe(mc.Scene([]), mc.PinholeCamera((0, 0, 5), (0, 0, 0), antialias=False), 1, 1)
     with pytest.raises(ValueError, match="bounces must be"):
         describe(mc.Scene([]), None, 1, -1)
     with pytest.raises(ValueError, match="spp must be"):

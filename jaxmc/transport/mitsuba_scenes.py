@@ -55,6 +55,11 @@ def _constant(sky):
 def _sensor(scene, camera, spp):
     if not isinstance(camera, Camera):
         raise ValueError(f"camera must be made by mc.PinholeCamera(...), got {camera!r}")
+    if not camera.antialias:
+        raise ValueError(
+            "Mitsuba's samples lie anywhere in a pixel, so a camera with antialias=False cannot be given to it; "
+            "make one with antialias=True"
+        )
     origin, right, down, forward = (
         np.array([float(c) for c in v]) for v in (camera.origin, camera.right, camera.down, camera.forward)
     )

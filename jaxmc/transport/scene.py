@@ -188,7 +188,8 @@ class Scene:
 
         Raises:
             ImportError: Mitsuba is missing.
-            ValueError: no variant is set; or what Mitsuba cannot have: a ``GradientSky``, a light that is two_sided.
+            ValueError: no variant is set; or what Mitsuba cannot have: a ``GradientSky``, a light that is two_sided, a
+                camera without anti-aliasing.
         """
         from .mitsuba_objects import with_objects
         from .mitsuba_scenes import describe
