@@ -21,8 +21,8 @@ def images(pictures, columns=2, exposure=1.0, width=4.2):
     """Return a figure of tone-mapped linear images, by title; ``width`` of each in inches."""
     rows = -(-len(pictures) // columns)
     high, wide = next(iter(pictures.values())).shape[:2]
-    size = (width * columns, (width * high / wide + 0.35) * rows)
-    fig, axes = plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained")
+    size = {"figsize": (width * columns, (width * high / wide + 0.35) * rows), "squeeze": False}
+    fig, axes = plt.subplots(rows, columns, layout="constrained", **size)
     for ax in axes.flat:
         ax.axis("off")
     for ax, (title, image) in zip(axes.flat, pictures.items()):
@@ -34,10 +34,9 @@ def images(pictures, columns=2, exposure=1.0, width=4.2):
 def heat_map(ax, values, label, cmap="inferno", log=False, least=None):
     """Draw a map of one number for each pixel, with its scale, from ``least`` on; grey where it is not finite."""
     values = np.where(np.isfinite(values), values, np.nan)
-    ax.set_facecolor("0.75")
     norm = LogNorm(clip=True) if log and (values > 0.0).any() else Normalize(vmin=least)
     shown = ax.imshow(values, cmap=cmap, interpolation="nearest", norm=norm)
-    ax.set(xticks=[], yticks=[])
+    ax.set(xticks=[], yticks=[], facecolor="0.75")
     ax.figure.colorbar(shown, ax=ax, label=label, shrink=0.8)
 
 
