@@ -238,11 +238,12 @@ def _areas(lab):
         )
         room = Scene(sampled.integrand.params[0].given[0])
         by_areas = irradiance_by_areas(room, (0.0, 0.0, 0.0), up)
+        by_angle = irradiance(room, (0.0, 0.0, 0.0), up, bounces=0, lights="nee", light_points="solid angle")
         name = f"lamp at height {height:g}"
         for word, integrand, variance in (
             ("the area form", by_areas, None),
             ("light sampling", sampled.integrand, sampled.exact_variance),
-            ("solid angle of the lamp", light_scenes.lamp_by_solid_angle(height), None),
+            ("solid angle of the lamp", by_angle, None),
             ("cosine, waiting", waiting.integrand, waiting.exact_variance),
         ):
             direct[word].append(lab.score(integrand, word, name, sampled.exact, variance))
