@@ -17,7 +17,8 @@ from ..integration.tallies import TopSamples
 from ..report import Report
 from ..scenes import cornell_box
 from ..transport.areas import irradiance_by_areas
-from ..transport.integrands import irradiance, neumann_terms, path_integrand, render
+from ..transport.images import render
+from ..transport.integrands import irradiance, neumann_terms, path_integrand
 from ..transport.materials import luminance
 from ..transport.scene import Scene
 from . import light_scenes, roulettes

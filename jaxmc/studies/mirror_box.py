@@ -18,7 +18,7 @@ from ..integration.tallies import ClampLadder, TailHistogram, TopSamples
 from ..report import Report
 from ..scenes import mirror_box
 from ..transport.debug import replay
-from ..transport.integrands import render
+from ..transport.images import render
 from ..transport.materials import luminance
 from ..transport.paths import clamp_luminance
 from .stages import Stages
