@@ -9,6 +9,7 @@ import pytest
 import jaxmc as mc
 from jaxmc import scenes
 from jaxmc.integration import kernel
+from jaxmc.integration.integrand import SAMPLES
 from jaxmc.integration.samplers import Independent, Index
 
 
@@ -65,6 +66,39 @@ DARK = mc.Quad((-0.2, 1, -0.2), (0.4, 0, 0), (0, 0, 0.4), mc.Diffuse(0.0))
 )
 def test_what_a_scene_lacks_is_not_in_its_kernel(less, more, least):
     assert operations(more).total() - operations(less).total() >= least
+
+
+# Of paths with a camera, area lights, spheres and quads, diffuse surfaces and mirrors, before there was anything else.
+FIRST_SCENES = {
+    ("cornell_box", "mis"): 1212, ("cornell_box", "nee"): 1160, ("cornell_box", "none"): 1000,
+    ("mirror_box", "mis"): 1385, ("mirror_box", "nee"): 1339, ("mirror_box", "none"): 1131,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "lights"), FIRST_SCENES)
+def test_features_cost_scenes_without_them_nothing(name, lights):
+    # Other versions of JAX may count an operation or two differently.
+    found = operations(*getattr(scenes, name)(), lights=lights).total()
+    assert 0.9 * FIRST_SCENES[name, lights] < found <= 1.005 * FIRST_SCENES[name, lights]
+
+
+def test_rows_of_paths_that_met_nothing_take_no_steps():
+    # The branch is on one number for all of them: it is not turned into a choice for each.
+    open_scene, camera = scenes.orb(width=8, height=8)
+    integrand = jax.tree.map(jnp.asarray, mc.path_integrand(open_scene, camera, bounces=3))
+
+    def value(word):
+        return integrand.at(Independent().point(jnp.arange(4, dtype=jnp.uint32), Index(word, word)))
+
+    def branches(**names):
+        jaxpr = jax.make_jaxpr(jax.vmap(value, **names))(jnp.arange(16, dtype=jnp.uint32)).jaxpr
+        return _count(jaxpr)["cond"]
+
+    assert branches(axis_name=SAMPLES) == branches() + 1
+    words = jnp.arange(4096, dtype=jnp.uint32)
+    in_step = jax.vmap(value, axis_name=SAMPLES)(words)
+    assert float(in_step.sum()) > 0.0
+    assert jnp.array_equal(in_step, jax.vmap(value)(words))
 
 
 def test_a_black_sky_and_a_dark_lamp_are_no_sky_and_no_lamp():

@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from .counts import positive
 
@@ -81,6 +82,24 @@ class Integrand:
         if u.ndim != 2 or u.shape[1] != self.dim:
             raise ValueError(f"points must have shape (n, {self.dim}), got {u.shape}")
         return _batch(self, u)
+
+
+SAMPLES = "samples"  # the axis along which the driver evaluates samples in step
+
+
+def evaluated_in_step() -> bool:
+    """Return whether this sample is evaluated in step with others, by the driver."""
+    try:
+        return lax.axis_size(SAMPLES) > 0
+    except NameError:
+        return False
+
+
+def holds_for_any(condition):
+    """Return whether a condition holds for any of the samples that are evaluated in step with this one: a branch on it
+    stays a branch under ``vmap``.
+    """
+    return lax.pmax(condition.astype(jnp.int32), SAMPLES) > 0
 
 
 @dataclasses.dataclass(frozen=True)
