@@ -38,6 +38,10 @@ from .integration.techniques import Technique as Technique
 from .live import preview as preview
 from .transport.areas import irradiance_by_areas as irradiance_by_areas
 from .transport.camera import PinholeCamera as PinholeCamera
+from .transport.clamps import Clamp as Clamp
+from .transport.clamps import ClampLevels as ClampLevels
+from .transport.clamps import Term as Term
+from .transport.clamps import clamp_luminance as clamp_luminance
 from .transport.debug import replay as replay
 from .transport.debug import sample_index as sample_index
 from .transport.filters import BoxFilter as BoxFilter
@@ -57,12 +61,12 @@ from .transport.materials import Mirror as Mirror
 from .transport.materials import RoughConductor as RoughConductor
 from .transport.materials import luminance as luminance
 from .transport.occlusion import ambient_occlusion as ambient_occlusion
-from .transport.paths import clamp_luminance as clamp_luminance
 from .transport.primitives import Box as Box
 from .transport.primitives import Quad as Quad
 from .transport.primitives import Sphere as Sphere
 from .transport.primitives import Triangle as Triangle
 from .transport.progressive import render_progressively as render_progressively
+from .transport.regularize import Regularize as Regularize
 from .transport.scene import Scene as Scene
 from .transport.scene_files import load_scene as load_scene
 from .transport.scene_files import save_scene as save_scene
