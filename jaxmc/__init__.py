@@ -14,6 +14,8 @@ from .integration.adaptive import adapt as adapt
 from .integration.combine import combine as combine
 from .integration.compiled import estimator as estimator
 from .integration.controls import control_variates as control_variates
+from .integration.debias import debias as debias
+from .integration.debias import debias_price as debias_price
 from .integration.draw import draw as draw
 from .integration.driver import integrate as integrate
 from .integration.driver import integrate_each as integrate_each
@@ -28,6 +30,7 @@ from .integration.moments import Moments as Moments
 from .integration.nets import Halton as Halton
 from .integration.nets import Sobol as Sobol
 from .integration.samplers import Independent as Independent
+from .integration.schedules import integrate_progressively as integrate_progressively
 from .integration.stratified import LatinHypercube as LatinHypercube
 from .integration.stratified import Stratified as Stratified
 from .integration.tallies import ClampLadder as ClampLadder
@@ -67,6 +70,7 @@ from .transport.primitives import Sphere as Sphere
 from .transport.primitives import Triangle as Triangle
 from .transport.progressive import render_progressively as render_progressively
 from .transport.regularize import Regularize as Regularize
+from .transport.regularize import Shrinking as Shrinking
 from .transport.scene import Scene as Scene
 from .transport.scene_files import load_scene as load_scene
 from .transport.scene_files import save_scene as save_scene
