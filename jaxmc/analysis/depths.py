@@ -43,7 +43,7 @@ def bias_by_depth(curves: Sequence[ClampCurve], direct=None, indirect=None) -> D
     """Return what limits on direct and indirect light take away, by path length.
 
     Terms 0 and 1, emission seen directly and light after one event, are direct, as in ``Clamp``. With ``lights`` "nee"
-    or "none" an event brings one contribution, and this is the bias of ``Clamp(direct, indirect)`` in a grey scene;
+    or "none" an event brings one contribution, and this is the bias of ``Clamp(direct, indirect)``, of its luminance;
     with "mis" it brings two, which are limited one by one, and this bounds their bias from above.
 
     Args:
