@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import analytic_scenes
 import jaxmc as mc
 from jaxmc import scenes
 from jaxmc.integration import debias as module
@@ -193,6 +194,49 @@ def test_constant_integrands_give_the_estimate_of_integrate():
     assert np.array_equal(last["tail"].count, whole["tail"].count)
     with pytest.raises(ValueError, match="alike"):
         list(mc.integrate_progressively(lambda i: f if i < 3 else f.map(jnp.sqrt), n=8))
+
+
+SIDE, RADIANCE = 0.004, 1e5
+
+
+def below_a_mirror(h):
+    """Return light of a tiny lamp that shines away from the receiver, over a mirror that reflects into a cone."""
+    lamp = mc.Quad((0.8, 0.0, 0.3), (SIDE, 0, 0), (0, SIDE, 0), mc.Diffuse(0.0), emission=RADIANCE)
+    scene = mc.Scene([lamp, mc.Quad((-20, -20, 1), (40, 0, 0), (0, 40, 0), mc.Mirror(1.0))])
+    rule = mc.Regularize("cone", float(h))
+    return mc.irradiance(scene, (0, 0, 0), (0, 0, 1), bounces=1, lights="nee", regularize=rule)
+
+
+@pytest.mark.slow
+def test_the_squared_error_of_a_scene_falls_as_predicted():
+    exact, _ = analytic_scenes.value_and_derivatives(
+        analytic_scenes.parallelogram_irradiance,
+        emission=RADIANCE, corner=(0.8, 0.0, 1.7), edge_u=(0.0, SIDE, 0.0), edge_v=(SIDE, 0.0, 0.0),
+    )  # fmt: skip
+    # A bias as h^2, a variance as 1 / h^2.
+    widths = np.array([0.8, 0.6, 0.4, 0.2])
+    found = [mc.integrate(below_a_mirror(h), n=1 << 22, key=3) for h in widths]
+    bias = np.array([e.mean / exact - 1.0 for e in found]) / widths**2
+    error = np.array([e.stderr / exact for e in found]) / widths**2
+    variance = np.array([e.variance / exact**2 for e in found]) * widths**2
+    b, v = np.sum(bias / error**2) / np.sum(error**-2.0), variance[-1]
+    assert -0.17 < b < -0.14 and np.all(np.abs(bias - b) <= 5.0 * error + 0.1 * abs(b))
+    np.testing.assert_allclose(variance, v, rtol=0.25)
+    # The mean over all widths so far, against what that predicts.
+    n, runs = 1 << 15, []
+    for power, slope in [(1 / 6, -0.66), (1 / 4, -0.5)]:
+        shrinking = mc.Shrinking(1.0, power)
+        runs = [
+            [(e.n, float(e.mean) / exact - 1.0) for e in
+             mc.integrate_progressively(lambda i: below_a_mirror(shrinking(i)), n=n, key=int(1000 * power) + r)]
+            for r in range(96)
+        ]  # fmt: skip
+        counts, errors = np.array(runs)[0, :, 0], (np.array(runs)[:, :, 1] ** 2).mean(0)
+        h = np.array([shrinking(i) for i in range(1, n + 1)])
+        predicted = (b * (h**2).mean()) ** 2 + v * (h**-2.0).mean() / n
+        assert 0.5 < errors[-1] / predicted < 1.7  # of 96 runs, for 5 standard errors
+        late = counts >= 256
+        assert abs(np.polyfit(np.log(counts[late]), np.log(errors[late]), 1)[0] - slope) < 0.15
 
 
 def test_images_whose_blur_shrinks():

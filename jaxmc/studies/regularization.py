@@ -31,7 +31,7 @@ CURES = {
     "regularized, max_prev up to 0.3": {"regularize": Regularize("max_prev", 0.3)},
     "regularized, opsr 0.1": {"regularize": Regularize("opsr", 0.1)},
 }
-SHOWN = ("none", f"clamped at {CLAMP:g}", "regularized, pbrt", "regularized, cone of 0.1")
+SHOWN = ("none", f"clamped at {CLAMP:g}", "regularized, pbrt", "regularized, max_prev up to 0.3")
 SHARE = 0.5  # of the light that clamping takes away falls into the region that is measured
 
 
