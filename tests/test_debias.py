@@ -223,14 +223,17 @@ def test_the_squared_error_of_a_scene_falls_as_predicted():
     assert -0.17 < b < -0.14 and np.all(np.abs(bias - b) <= 5.0 * error + 0.1 * abs(b))
     np.testing.assert_allclose(variance, v, rtol=0.25)
     # The mean over all widths so far, against what that predicts.
-    n, runs = 1 << 15, []
+    n = 1 << 15
     for power, slope in [(1 / 6, -0.66), (1 / 4, -0.5)]:
         shrinking = mc.Shrinking(1.0, power)
+
+        def make(i, shrinking=shrinking):
+            return below_a_mirror(shrinking(i))
+
         runs = [
-            [(e.n, float(e.mean) / exact - 1.0) for e in
-             mc.integrate_progressively(lambda i: below_a_mirror(shrinking(i)), n=n, key=int(1000 * power) + r)]
+            [(e.n, float(e.mean) / exact - 1.0) for e in mc.integrate_progressively(make, n=n, key=1000 + r)]
             for r in range(96)
-        ]  # fmt: skip
+        ]
         counts, errors = np.array(runs)[0, :, 0], (np.array(runs)[:, :, 1] ** 2).mean(0)
         h = np.array([shrinking(i) for i in range(1, n + 1)])
         predicted = (b * (h**2).mean()) ** 2 + v * (h**-2.0).mean() / n
