@@ -51,12 +51,13 @@ from .transport.filters import BoxFilter as BoxFilter
 from .transport.filters import GaussianFilter as GaussianFilter
 from .transport.filters import MitchellFilter as MitchellFilter
 from .transport.filters import TentFilter as TentFilter
+from .transport.images import render as render
+from .transport.images import render_progressively as render_progressively
 from .transport.integrands import irradiance as irradiance
 from .transport.integrands import neumann_terms as neumann_terms
 from .transport.integrands import path_integrand as path_integrand
 from .transport.integrands import path_throughput as path_throughput
 from .transport.integrands import radiance as radiance
-from .transport.integrands import render as render
 from .transport.intersection import intersect as intersect
 from .transport.materials import Dielectric as Dielectric
 from .transport.materials import Diffuse as Diffuse
@@ -68,7 +69,6 @@ from .transport.primitives import Box as Box
 from .transport.primitives import Quad as Quad
 from .transport.primitives import Sphere as Sphere
 from .transport.primitives import Triangle as Triangle
-from .transport.progressive import render_progressively as render_progressively
 from .transport.regularize import Regularize as Regularize
 from .transport.regularize import Shrinking as Shrinking
 from .transport.scene import Scene as Scene

@@ -8,8 +8,8 @@ import numpy as np
 
 from .integration.estimate import Estimate
 from .transport.camera import Camera
+from .transport.images import render_progressively
 from .transport.materials import luminance
-from .transport.progressive import render_progressively
 from .transport.scene import Scene
 
 

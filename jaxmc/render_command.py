@@ -16,8 +16,7 @@ from .studies import mirror_box, sparkles
 from .transport import views
 from .transport.camera import Camera
 from .transport.debug import replay, sample_index
-from .transport.integrands import render
-from .transport.progressive import render_progressively
+from .transport.images import render, render_progressively
 from .transport.scene import Scene
 from .transport.scene_files import load_scene
 from .transport.strategy import CHOICES, THROUGHPUT

@@ -7,13 +7,14 @@ from .driver import family_run
 from .estimate import Estimate
 from .integrand import Integrand
 from .kernel import ROWS
+from .moments import Moments
 from .samplers import Independent
 from .work import Progress
 
 
 def integrate_each_in_passes(
     f: Integrand, items: int, *, n, key=0, sampler=Independent(), replicates=None, tallies=None, progress=None,
-    workers=None, chunk=None,
+    workers=None, chunk=None, kept=Moments(order=2),
 ) -> Iterator[Estimate]:  # fmt: skip
     """Return an iterator over estimates of a family of integrals from more and more of its samples.
 
@@ -21,7 +22,7 @@ def integrate_each_in_passes(
     each integral come in passes of 1, 1, 2, 4 and so on up to 64, then an eighth of what is there; where there are
     replicates, by whole replicates, one after the other. Arguments and errors as in ``integrate_each``.
     """
-    n, run = positive("n", n), family_run(f, items, key, sampler, replicates, tallies, workers, chunk)
+    n, run = positive("n", n), family_run(f, items, key, sampler, replicates, tallies, workers, chunk, kept)
     cut = doubling if run.replicates is None else one_by_one
 
     def estimates():

@@ -6,14 +6,16 @@ from .counts import positive
 from .driver import Run, blocks_of, family_run
 from .estimate import Estimate
 from .integrand import Integrand, as_integrand
+from .moments import Moments
 from .passes import doubling
 from .samplers import Independent
 from .work import Progress
 
 
 def integrate_progressively(
-    make: Callable[[float], Integrand], *, n, items=None, key=0, tallies=None, progress=None, workers=None, chunk=None
-) -> Iterator[Estimate]:
+    make: Callable[[float], Integrand], *, n, items=None, key=0, tallies=None, progress=None, workers=None, chunk=None,
+    kept=Moments(order=2),
+) -> Iterator[Estimate]:  # fmt: skip
     """Return an iterator over estimates from more and more samples, of an integrand that may change with their number.
 
     Samples come in passes, of 1, 1, 2, 4 and so on up to 64, then an eighth of what is there. ``make(i)`` returns the
@@ -30,6 +32,7 @@ def integrate_progressively(
     Args:
         make: a function of the number of a sample, from 1.
         items: number of integrals of a family, as in ``integrate_each``; None for a single one.
+        kept: of a family, as in ``integrate_each``.
 
     Points are independent ones. Other arguments and errors as in ``integrate``.
     """
@@ -38,7 +41,7 @@ def integrate_progressively(
     if items is None:
         run = Run(first, key, Independent(), None, tallies, workers, blocks_of(chunk))
     else:
-        run = family_run(first, items, key, Independent(), None, tallies, workers, chunk)
+        run = family_run(first, items, key, Independent(), None, tallies, workers, chunk, kept)
 
     def estimates():
         with Progress(progress, run.total(n)) as bar:

@@ -16,7 +16,8 @@ from ..integration.driver import integrate
 from ..integration.integrand import Integrand
 from ..integration.tallies import TopSamples
 from ..report import Report
-from ..transport.integrands import irradiance, path_integrand, render
+from ..transport.images import render
+from ..transport.integrands import irradiance, path_integrand
 from .caustic_scenes import EXTENT, caustic_by_photons, curved_mirror, glass_ball
 from .scores import deviation, exact_function
 from .stages import Stages

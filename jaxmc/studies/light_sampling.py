@@ -17,7 +17,8 @@ from ..integration.tallies import TopSamples
 from ..report import Report
 from ..scenes import cornell_box
 from ..transport.areas import irradiance_by_areas
-from ..transport.integrands import irradiance, neumann_terms, path_integrand, render
+from ..transport.images import render
+from ..transport.integrands import irradiance, neumann_terms, path_integrand
 from ..transport.materials import luminance
 from ..transport.scene import Scene
 from . import light_scenes, roulettes
@@ -238,11 +239,12 @@ def _areas(lab):
         )
         room = Scene(sampled.integrand.params[0].given[0])
         by_areas = irradiance_by_areas(room, (0.0, 0.0, 0.0), up)
+        by_angle = irradiance(room, (0.0, 0.0, 0.0), up, bounces=0, lights="nee", light_points="solid angle")
         name = f"lamp at height {height:g}"
         for word, integrand, variance in (
             ("the area form", by_areas, None),
             ("light sampling", sampled.integrand, sampled.exact_variance),
-            ("solid angle of the lamp", light_scenes.lamp_by_solid_angle(height), None),
+            ("solid angle of the lamp", by_angle, None),
             ("cosine, waiting", waiting.integrand, waiting.exact_variance),
         ):
             direct[word].append(lab.score(integrand, word, name, sampled.exact, variance))

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -12,10 +11,8 @@ from ..transport.integrands import Film, through_film
 from ..transport.materials import Diffuse
 from ..transport.paths import trace
 from ..transport.primitives import Box, Quad, Sphere
-from ..transport.rectangles import rectangle_light, sample_rectangle_light
 from ..transport.scene import Scene
 from ..transport.strategy import Strategy
-from ..transport.vec import Vec3
 
 UP = (0.0, 0.0, 1.0)
 BLACK = Diffuse(0.0)
@@ -88,19 +85,6 @@ def facing_plates():
             Quad((-0.5, -0.5, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), BLACK, 3.0),
         ]
     )
-
-
-def lamp_by_solid_angle(height) -> Integrand:
-    """Return the irradiance at the origin from a square lamp of side 1 and emission 1 straight above at ``height``, by
-    directions that are uniform over the solid angle of the lamp.
-    """
-    light = rectangle_light(Vec3(0.0, 0.0, height), Vec3(0.5, 0.0, 0.0), Vec3(0.0, 0.5, 0.0), Vec3(0.0, 0.0, -1.0))
-    return Integrand(_over_solid_angle, 2, (jax.tree.map(np.asarray, light),), lazy=True)
-
-
-def _over_solid_angle(u, light):
-    wi, _, solid_angle = sample_rectangle_light(light, Vec3(0.0, 0.0, 0.0), False, u[0], u[1])
-    return wi.z * solid_angle
 
 
 def events(scene, camera, *, bounces, **options: Any) -> Integrand:

@@ -19,7 +19,7 @@ from ..report import Report
 from ..scenes import mirror_box
 from ..transport.clamps import clamp_luminance
 from ..transport.debug import replay
-from ..transport.integrands import render
+from ..transport.images import render
 from ..transport.materials import luminance
 from .stages import Stages
 

@@ -15,7 +15,8 @@ from ..integration.estimate import Estimate
 from ..report import Report
 from ..scenes import BUILDS, cornell_blocks
 from ..testing import joint_sigmas
-from ..transport.integrands import path_integrand, render
+from ..transport.images import render
+from ..transport.integrands import path_integrand
 from .costs import RayCost, compile_seconds, operations, ray_cost
 from .stages import Stages
 

@@ -16,7 +16,7 @@ from ..integration.moments import Moments
 from ..report import Report
 from ..scenes import mirror_box
 from ..transport.clamps import Clamp
-from ..transport.integrands import render
+from ..transport.images import render
 from ..transport.materials import luminance
 from ..transport.regularize import Regularize
 from .mirror_box import CLAMP, PATHS, clamp_value, luminance_variance

@@ -23,7 +23,8 @@ from ..report import Report
 from ..scenes import closed_sparkle_box, sparkle_box
 from ..testing import ThroughputProduct
 from ..transport import debug
-from ..transport.integrands import path_throughput, render
+from ..transport.images import render
+from ..transport.integrands import path_throughput
 from ..transport.materials import luminance
 from .stages import Stages
 

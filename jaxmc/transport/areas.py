@@ -19,8 +19,8 @@ from .hits import at, closest_hit, face_at
 from .lookups import lookups
 from .primitives import as_color, as_unit, as_vec3
 from .scene import Scene
+from .spheres import point_by_area
 from .vec import Vec3, dot, larger, where
-from .warps import sincos_2pi
 
 
 def irradiance_by_areas(scene: Scene, point, normal, *, bounces=0) -> Integrand:
@@ -81,10 +81,7 @@ def point_on(outline, u1, u2):
     if isinstance(outline, FlatLight):
         u, v = coordinates(outline.triangle, u1, u2)
         return outline.center + outline.half_u * u + outline.half_v * v, outline.normal
-    radius = 2.0 * jnp.sqrt(larger(u1 * (1.0 - u1), 0.0))
-    sine, cosine = sincos_2pi(u2)
-    normal = Vec3(radius * cosine, radius * sine, 1.0 - 2.0 * u1)
-    return outline.center + normal * outline.radius, normal
+    return point_by_area(outline, u1, u2)
 
 
 @dataclasses.dataclass(frozen=True)

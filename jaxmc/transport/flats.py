@@ -72,12 +72,13 @@ def is_on(flat: FlatShape, point):
 @partial(
     jax.tree_util.register_dataclass,
     data_fields=["center", "half_u", "half_v", "normal", "area"],
-    meta_fields=["triangle", "two_sided"],
+    meta_fields=["triangle", "two_sided", "rectangle"],
 )
 @dataclasses.dataclass(frozen=True)
 class FlatLight:
     """What sampling a flat face needs. Its points are ``center + half_u * u + half_v * v`` with coordinates as in
-    ``FlatShape``; ``two_sided``: it shines to both sides, not only to that of its normal.
+    ``FlatShape``; ``two_sided``: it shines to both sides, not only to that of its normal; ``rectangle``: its edges are
+    known to be perpendicular.
     """
 
     center: Vec3
@@ -87,6 +88,7 @@ class FlatLight:
     area: Any
     triangle: bool = False
     two_sided: bool = False
+    rectangle: bool = False
 
     @property
     def centroid(self):

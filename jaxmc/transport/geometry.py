@@ -14,6 +14,8 @@ from .shape_tables import MANY, ShapeTable, table_of
 from .spheres import SphereShape
 from .vec import Vec3, cross, dot
 
+SQUARE = 1e-6  # cosine of edges that count as perpendicular
+
 
 class Geometry(NamedTuple):
     """Where everything is; see ``Scene`` for most of it.
@@ -142,7 +144,9 @@ def _frame(face) -> FlatLight:
     n = cross(half_u, half_v)
     length = dot(n, n) ** 0.5
     area = (2.0 if triangle else 4.0) * length
-    return FlatLight(corner + half_u + half_v, half_u, half_v, n / length, area, triangle)
+    edges = half_u, half_v
+    rectangle = not triangle and is_concrete(edges) and abs(dot(*edges)) <= SQUARE * float(length)
+    return FlatLight(corner + half_u + half_v, *edges, n / length, area, triangle, rectangle=bool(rectangle))
 
 
 def _flat_shape(frame: FlatLight, plane: FlatLight, rounding) -> FlatShape:

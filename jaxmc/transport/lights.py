@@ -169,16 +169,16 @@ def _farthest(light: FlatLight):
 # -------------------------------------------------------------------------------------------------------- samples
 
 
-def sample_light(scene, pick, point, normal, own, u1, u2, which) -> tuple[LightSample, Any, Any]:
+def sample_light(scene, strategy, point, normal, own, u1, u2, which) -> tuple[LightSample, Any, Any]:
     """Return a sample of one light from a point on face ``own``, its radiance, and its face; ``which`` is the
     coordinate that picks the light.
     """
-    count = len(scene.lights)
+    count, pick, by = len(scene.lights), strategy.pick, strategy.light_points
     if isinstance(scene.powers, tuple):
         chosen, probability = (0, 1.0) if count == 1 else pick_light(scene, pick, point, normal, which)
         result = None
         for k, (i, (light, radiance)) in enumerate(zip(scene.lights, scene.emitters, strict=True)):
-            one = (shapes.sample_light(light, point, scene.is_same(own, i), u1, u2), radiance, i)
+            one = (shapes.sample_light(light, point, scene.is_same(own, i), u1, u2, by), radiance, i)
             result = (
                 one if result is None else jax.tree.map(lambda a, b, k=k: jnp.where(chosen == k, a, b), one, result)
             )
@@ -187,7 +187,7 @@ def sample_light(scene, pick, point, normal, own, u1, u2, which) -> tuple[LightS
         chosen, probability = pick_light(scene, pick, point, normal, which)
         face = jnp.asarray(scene.lights)[chosen]
         is_own = scene.plane_of(own) == scene.plane_of(face)
-        drawn, radiance = _sample_group(scene, chosen, point, is_own, u1, u2)
+        drawn, radiance = _sample_group(scene, chosen, point, is_own, u1, u2, by)
     if count == 1:
         return drawn, radiance, face
     if pick == "uniform":
@@ -196,11 +196,11 @@ def sample_light(scene, pick, point, normal, own, u1, u2, which) -> tuple[LightS
     return drawn._replace(inverse_pdf=drawn.inverse_pdf * inverse), radiance, face
 
 
-def _sample_group(scene, chosen, point, is_own, u1, u2):
+def _sample_group(scene, chosen, point, is_own, u1, u2, by):
     result, first = None, 0
     for group in scene.emitters:
         light, radiance = _nth(group, chosen - first)
-        one = shapes.sample_light(light, point, is_own, u1, u2), radiance
+        one = shapes.sample_light(light, point, is_own, u1, u2, by), radiance
         result = one if result is None else where_tree(chosen >= first, one, result)
         first += _size(group)
     return result
@@ -215,11 +215,11 @@ def _nth(group, k):
     return jax.tree.map(lambda x: jnp.asarray(x)[jnp.clip(k, 0, _size(group) - 1)], tuple(group))
 
 
-def emission_toward(scene, ray, hit, weigh=None):
+def emission_toward(scene, ray, hit, weigh=None, by="automatic"):
     """Return the emission that a ray meets.
 
     ``weigh(inverse_pdf, k)`` returns a factor for light number k, whose sampling has the inverse density
-    ``inverse_pdf`` per solid angle there, the choice of the light left out; None for 1.
+    ``inverse_pdf`` per solid angle there by the option ``light_points``, the choice of the light left out; None for 1.
     """
     total = black(scene)
     distance = jnp.where(hit.face < 0, 1.0, hit.distance)
@@ -230,7 +230,7 @@ def emission_toward(scene, ray, hit, weigh=None):
     else:
         candidates = _met(scene, hit)
     for is_met, k, light, radiance in candidates:
-        inverse = shapes.inverse_pdf(light, ray.origin, ray.direction, distance)
+        inverse = shapes.inverse_pdf(light, ray.origin, ray.direction, distance, by)
         shines = is_met & (inverse > 0.0)
         value = radiance if weigh is None else radiance * weigh(inverse, k)
         total = total + where(shines, value, black(scene))

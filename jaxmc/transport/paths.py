@@ -73,7 +73,7 @@ def _direct_light(scene, strategy, vertex: Vertex, u):
     if scene.lights:
         which = u[first + words.index("which light")] if len(scene.lights) > 1 else None
         light, radiance, target = sample_light(
-            scene, strategy.pick, surface.point, surface.normal, surface.face, u[first], u[first + 1], which
+            scene, strategy, surface.point, surface.normal, surface.face, u[first], u[first + 1], which
         )
 
         def reaches(toward):
@@ -188,7 +188,7 @@ def _emission_met(scene, strategy, onward, hit, pdf, surface, specular):
             p = probability(k)
             return weight_of_hit(pdf, jnp.where(p > 0.0, inverse / jnp.where(p > 0.0, p, 1.0), jnp.inf))
 
-        weighted = emission_toward(scene, onward, hit, weigh)
+        weighted = emission_toward(scene, onward, hit, weigh, strategy.light_points)
     return weighted if specular is None else where(specular, emission_toward(scene, onward, hit), weighted)
 
 

@@ -9,7 +9,9 @@ from . import boxes, flats, spheres
 from .boxes import BoxShape
 from .flats import FlatLight, FlatShape
 from .rays import LightSample, Ray
+from .rectangles import inverse_pdf_rectangle_light, rectangle_light, sample_rectangle_light
 from .spheres import SphereShape
+from .vec import dot, where
 
 Shape = SphereShape | FlatShape | BoxShape
 
@@ -50,11 +52,27 @@ def face_at(shape: Shape, point):
     return jnp.where(kind.is_on(shape, point), 0, -1)
 
 
-def sample_light(light, point, own, u1, u2) -> LightSample:
-    """Sample a direction from ``point`` toward a light: by area if it is flat, by solid angle if it is a sphere."""
-    return (flats if isinstance(light, FlatLight) else spheres).sample(light, point, own, u1, u2)
+def sample_light(light, point, own, u1, u2, by: str) -> LightSample:
+    """Sample a direction from ``point`` toward a light; ``by``: the option ``light_points`` of ``PathOptions``."""
+    if isinstance(light, FlatLight):
+        if by == "solid angle" and light.rectangle:
+            return LightSample(*sample_rectangle_light(_rectangle(light, point), point, own, u1, u2))
+        return flats.sample(light, point, own, u1, u2)
+    return (spheres.sample_by_area if by == "area" else spheres.sample)(light, point, own, u1, u2)
 
 
-def inverse_pdf(light, point, wi, distance):
+def inverse_pdf(light, point, wi, distance, by: str):
     """Return 1 / density per solid angle of ``sample_light`` for a hit of the light, 0 where it does not shine."""
-    return (flats if isinstance(light, FlatLight) else spheres).inverse_pdf(light, point, wi, distance)
+    if isinstance(light, FlatLight):
+        if by == "solid angle" and light.rectangle:
+            return inverse_pdf_rectangle_light(_rectangle(light, point), point)
+        return flats.inverse_pdf(light, point, wi, distance)
+    return (spheres.inverse_pdf_by_area if by == "area" else spheres.inverse_pdf)(light, point, wi, distance)
+
+
+def _rectangle(light: FlatLight, point):
+    """Return a rectangle as seen from a point, which is on its bright side if it has two."""
+    normal = light.normal
+    if light.two_sided:
+        normal = where(dot(normal, light.center - point) > 0.0, -normal, normal)
+    return rectangle_light(light.center, light.half_u, light.half_v, normal)

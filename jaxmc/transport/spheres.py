@@ -133,6 +133,45 @@ def inverse_pdf(light: SphereLight, point, wi, distance):
     return jnp.where(visible & (falling < 0.0 if light.inward else falling > 0.0), 2.0 * np.pi * one_minus_cos, 0.0)
 
 
+def point_by_area(sphere: SphereShape, u1, u2):
+    """Return a point of a sphere drawn uniformly by area, and the normal there, away from the centre."""
+    radius = 2.0 * root(larger(u1 * (1.0 - u1), 0.0))
+    sine, cosine = sincos_2pi(u2)
+    normal = Vec3(radius * cosine, radius * sine, 1.0 - 2.0 * u1)
+    return sphere.center + normal * sphere.radius, normal
+
+
+def sample_by_area(light: SphereLight, point, own, u1, u2) -> LightSample:
+    """Sample a point of a sphere uniformly by area, seen from ``point``; ``own``: that is on the sphere.
+
+    Points on the far side waste a sample.
+    """
+    target, normal = point_by_area(light.sphere, u1, u2)
+    to_light = target - point
+    squared = dot(to_light, to_light)
+    inverse = jnp.sqrt(1.0 / squared)
+    wi = to_light * inverse
+    return LightSample(wi, squared * inverse, _inverse_pdf_by_area(light, point, own, dot(normal, wi), inverse))
+
+
+def inverse_pdf_by_area(light: SphereLight, point, wi, distance):
+    """Return 1 / density per solid angle of ``sample_by_area``, 0 where the light does not shine."""
+    normal = (point + wi * distance - light.sphere.center) * (1.0 / light.sphere.radius)
+    # A hit of the inside tells that the point is inside.
+    return _inverse_pdf_by_area(light, point, light.inward, dot(normal, wi), 1.0 / distance)
+
+
+def _inverse_pdf_by_area(light, point, own, cosine, inverse_distance):
+    """Return area times cosine over squared distance; ``cosine`` is that of the outer normal and wi."""
+    area = 4.0 * np.pi * light.sphere.radius * light.sphere.radius
+    if light.inward:
+        to_center = light.sphere.center - point
+        visible = own | (dot(to_center, to_center) < light.sphere.radius * light.sphere.radius)
+    else:
+        cosine, visible = -cosine, jnp.logical_not(own)
+    return jnp.where(visible, larger(cosine, 0.0) * area * (inverse_distance * inverse_distance), 0.0)
+
+
 def _cone(light, point, squared, own):
     """Return 1 - cos of the cone's half angle (2 for an inward light), and whether the light can be seen."""
     r2 = light.sphere.radius * light.sphere.radius

@@ -13,7 +13,8 @@ from ..integration.driver import integrate_each
 from ..integration.moments import Moments
 from ..integration.samplers import Independent
 from .camera import Camera
-from .integrands import Film, render, through_film
+from .images import render
+from .integrands import Film, through_film
 from .intersection import intersect
 from .materials import luminance
 from .paths import trace
