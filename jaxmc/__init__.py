@@ -77,6 +77,7 @@ from .transport.scene_files import save_scene as save_scene
 from .transport.sky import GradientSky as GradientSky
 from .transport.strategy import PathOptions as PathOptions
 from .transport.strategy import Roulette as Roulette
+from .transport.tuning import tune_regularization as tune_regularization
 from .transport.views import view_bounces as view_bounces
 from .transport.views import view_depth as view_depth
 from .transport.views import view_fireflies as view_fireflies

@@ -42,7 +42,8 @@ def tune_regularization(
     with the same view will do.
 
     Args:
-        reference: luminance of the image without regularization, shape (height, width), far more exact than the error.
+        reference: luminance of the image without regularization, shape (height, width). Its own noise adds its variance
+            to ``error`` and ``squared_bias``, and does not move the best amount.
         N: samples per pixel that the amount is meant for.
         rule: "opsr" or "max_prev"; the derivative of the others is not that of the integral.
         n: samples per pixel that the error is estimated from.
