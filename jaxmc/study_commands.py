@@ -13,6 +13,7 @@ from .studies import (
     light_sampling,
     mirror_box,
     primitives,
+    regularization,
     sparkles,
     stability,
 )
@@ -31,6 +32,11 @@ STUDIES = {
         "why the mirror box sparkles, and what clamping costs",
         mirror_box,
         {"spp": (2048, "samples per pixel of the references (default 2048)")},
+    ),
+    "regularization": Study(
+        "what regularization keeps of the mirror box's caustic, and clamping does not",
+        regularization,
+        {"spp": (8192, "samples per pixel of the reference (default 8192)")},
     ),
     "sparkles": Study(
         "uniform against cosine-weighted directions in a box with a gap",

@@ -119,10 +119,21 @@ def rough_metal():
     return sample, pdf, SPHERE
 
 
+def cone():
+    """Return directions in a cone that is cut off a little before its rim, where rounding decides what is inside."""
+    axis, half_angle = Vec3(0.48, -0.6, 0.64), 0.4
+
+    def pdf(w):
+        return jnp.where(warps.is_in_cone(w, axis, half_angle), warps.pdf_cone(half_angle), 0.0)
+
+    return lambda u: warps.sample_cone(axis, half_angle, u[0], u[1]), pdf, directions(tuple(axis), half_angle)
+
+
 PAIRS = {
     "sample_bsdf of rough metal": rough_metal,
     "sample_cosine_hemisphere": cosine_hemisphere,
     "sample_uniform_hemisphere": uniform_hemisphere,
+    "sample_cone": cone,
     "sample_diffuse, cosine, tilted": lambda: diffuse("cosine", (0.3, -0.8, 0.4)),
     "sample_diffuse, uniform, downward": lambda: diffuse("uniform", (0.1, 0.2, -0.9)),
     "sample_diffuse, cosine, -z": lambda: diffuse("cosine", (0.0, 0.0, -1.0)),

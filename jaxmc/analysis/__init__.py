@@ -3,5 +3,6 @@
 from . import clamping as clamping
 from . import convergence as convergence
 from . import coverage as coverage
+from . import depths as depths
 from . import fireflies as fireflies
 from . import tails as tails

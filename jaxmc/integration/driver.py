@@ -62,7 +62,7 @@ def integrate(
     target = stopping.target(n, rtol, atol, max_n, max_seconds)
     n = n if n is None else positive("n", n)
     replicates = _replicates(replicates, sampler, REPLICATES)
-    blocks, rows = _blocks(chunk), ROWS
+    blocks, rows = blocks_of(chunk), ROWS
     if n is not None and replicates and n // replicates < SMALL * LANES:
         blocks, rows = max(blocks, min(replicates, MOST_BLOCKS)), SMALL
     run = Run(integrand, key, sampler, replicates, tallies, workers, blocks, rows)
@@ -97,11 +97,11 @@ def family_run(f, items, key, sampler, replicates, tallies, workers, chunk, kept
     f, items = as_integrand(f), positive("items", items)
     replicates = _replicates(replicates, sampler, REPLICATES_EACH)
     lanes = lanes_for(items)
-    blocks = min(_blocks(chunk), -(-items // lanes))
+    blocks = min(blocks_of(chunk), -(-items // lanes))
     return Run(f, key, sampler, replicates, tallies, workers, blocks, kept=kept, items=items, lanes=lanes)
 
 
-def _blocks(chunk):
+def blocks_of(chunk):
     return max(1, positive("chunk", CHUNK if chunk is None else chunk) // BLOCK)
 
 
@@ -181,6 +181,15 @@ class Run:
         for some in cut(ranges):
             self._add(item_jobs(some, self.items, self.blocks, self.lanes, self.sampler.independent), points, bar)
             yield self._estimate(points)
+
+    def extend(self, integrand, start, stop, bar) -> Estimate:
+        """Add independent samples ``start <= s < stop`` of an integrand that may have other values of its params."""
+        if jax.tree.structure(integrand) != jax.tree.structure(self.integrand):
+            raise ValueError("the integrands of all passes must be alike but for the values of their params")
+        self.integrand, ranges = jax.tree.map(_as_array, integrand), [(0, start, stop)]
+        each = item_jobs(ranges, self.items, self.blocks, self.lanes, True) if self.items else None
+        self._add(each or stream_jobs(ranges, self.blocks, self.rows), stop, bar)
+        return self._estimate(stop)
 
     def _ranges(self, points):
         """Return the samples to add: those that are missing, or new randomisations, for which others are forgotten."""

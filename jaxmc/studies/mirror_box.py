@@ -17,10 +17,10 @@ from ..integration.moments import Moments
 from ..integration.tallies import ClampLadder, TailHistogram, TopSamples
 from ..report import Report
 from ..scenes import mirror_box
+from ..transport.clamps import clamp_luminance
 from ..transport.debug import replay
 from ..transport.images import render
 from ..transport.materials import luminance
-from ..transport.paths import clamp_luminance
 from .stages import Stages
 
 PATHS = {"bounces": 8, "hide_emitters": True}

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from .fresnel import fresnel_conductor, fresnel_dielectric, refract
 from .hits import Surface, at
@@ -16,20 +17,28 @@ from .microfacets import eval_ggx, pdf_ggx, sample_ggx
 from .vec import Vec3, dot, frame, larger, where
 from .warps import (
     grazing,
+    is_in_cone,
+    pdf_cone,
     pdf_cosine_hemisphere,
     pdf_uniform_hemisphere,
+    sample_cone,
     sample_cosine_hemisphere,
     sample_uniform_hemisphere,
 )
 
 
 class Kinds(NamedTuple):
-    """What a surface is made of: a flag for each material that the scene has, None for one that it lacks."""
+    """What a surface is made of: a flag for each material that the scene has, None for one that it lacks.
+
+    ``cone``: a mirror that reflects into a cone, of half-angle ``scene.blur``. ``alpha``: roughness where it is rough.
+    """
 
     mirror: Any
     rough: Any
     metal: Any
     dielectric: Any
+    alpha: Any = None
+    cone: Any = None
 
     @property
     def specular(self):
@@ -41,7 +50,8 @@ class Kinds(NamedTuple):
 def kinds_of(scene, surface: Surface) -> Kinds:
     """Return what a surface is made of."""
     groups = (scene.mirrors, scene.rough, scene.metals, scene.dielectrics)
-    return Kinds(*(is_among(faces, surface.face, scene.size) if faces else None for faces in groups))
+    flags = (is_among(faces, surface.face, scene.size) if faces else None for faces in groups)
+    return Kinds(*flags, at(scene.alpha, surface.face) if scene.rough else None)
 
 
 class BsdfSample(NamedTuple):
@@ -59,19 +69,25 @@ def sample_bsdf(scene, directions: str, surface: Surface, kinds: Kinds, arriving
     tangent, bitangent = frame(surface.normal)
     local, pdf, weight = _sample_hemisphere(directions, u1, u2)
     metallic = None
-    if scene.rough:
-        alpha = at(scene.alpha, surface.face)
+    if kinds.rough is not None:
+        alpha = kinds.alpha
         local_wo = _viewer(arriving, tangent, bitangent, surface.normal)
         if directions == "bsdf":
-            facet = sample_ggx(local_wo, alpha, u1, u2)
+            facet = sample_ggx(local_wo, _drawing(scene, alpha), u1, u2)
+            if scene.blur is not None:
+                facet = (*facet[:2], weight_by_value(facet[2], local_wo, facet[0], alpha))
             local, pdf, weight = (where(kinds.rough, a, b) for a, b in zip(facet, (local, pdf, weight), strict=True))
         else:
             weight = jnp.where(kinds.rough, eval_ggx(local_wo, local, alpha) / pdf, weight)
         metallic = _metal(scene, surface, kinds, local_wo, local)
     wi = tangent * local.x + bitangent * local.y + surface.normal * local.z
-    if scene.mirrors:
+    if kinds.mirror is not None:
         wi = where(kinds.mirror, reflect(arriving, surface.normal), wi)
         weight = jnp.where(kinds.mirror, 1.0, weight)
+    if kinds.cone is not None:
+        cone = sample_cone(reflect(arriving, surface.normal), scene.blur, u1, u2)
+        wi, pdf = where(kinds.cone, cone, wi), jnp.where(kinds.cone, pdf_cone(scene.blur), pdf)
+        weight = jnp.where(kinds.cone, jnp.where(dot(cone, surface.normal) > grazing(), 1.0, 0.0), weight)
     if scene.dielectrics:
         through, factor = _sample_dielectric(at(scene.ior, surface.face), surface, arriving, u1)
         wi = where(kinds.dielectric, through, wi)
@@ -110,17 +126,39 @@ def evaluate_bsdf(scene, directions: str, surface: Surface, kinds: Kinds, arrivi
     ``cosine`` is that of ``wi`` with the normal. Specular surfaces are evaluated as diffuse ones: mask them.
     """
     value, pdf = cosine, pdf_diffuse(directions, cosine)
-    if not scene.rough:
+    if kinds.cone is not None:
+        inside = jnp.where(is_in_cone(wi, reflect(arriving, surface.normal), scene.blur), pdf_cone(scene.blur), 0.0)
+        value, pdf = jnp.where(kinds.cone, jnp.pi * inside, value), jnp.where(kinds.cone, inside, pdf)
+    if kinds.rough is None:
         return value, pdf
-    alpha = at(scene.alpha, surface.face)
+    alpha = kinds.alpha
     tangent, bitangent = frame(surface.normal)
     local_wo = _viewer(arriving, tangent, bitangent, surface.normal)
     local = Vec3(dot(wi, tangent), dot(wi, bitangent), cosine)
     value = jnp.where(kinds.rough, jnp.pi * eval_ggx(local_wo, local, alpha), value)
     if directions == "bsdf":
-        pdf = jnp.where(kinds.rough, pdf_ggx(local_wo, local, alpha), pdf)
+        pdf = jnp.where(kinds.rough, pdf_ggx(local_wo, local, _drawing(scene, alpha)), pdf)
     metallic = _metal(scene, surface, kinds, local_wo, local)
     return (value if metallic is None else metallic * value), pdf
+
+
+def _drawing(scene, alpha):
+    """Return the roughness to draw with: where it comes from a regularization, without its derivative."""
+    return alpha if scene.blur is None else lax.stop_gradient(alpha)
+
+
+@jax.custom_jvp
+def weight_by_value(weight, wo, wi, alpha):
+    """Return the weight of a direction that stays where it is while ``alpha`` moves: with it moves the value alone."""
+    return weight
+
+
+@weight_by_value.defjvp
+def _value_derivative(primals, tangents):
+    weight, wo, wi, alpha = primals
+    value, change = jax.jvp(lambda a: eval_ggx(wo, wi, a), (alpha,), (tangents[3],))
+    shown = value > 0.0
+    return weight, tangents[0] + weight * jnp.where(shown, change / jnp.where(shown, value, 1.0), 0.0)
 
 
 def _viewer(arriving, tangent, bitangent, normal):

@@ -14,9 +14,11 @@ from ..integration.integrand import Integrand
 from ..integration.moments import Moments, MomentsResult
 from ..integration.passes import integrate_each_in_passes
 from ..integration.samplers import Independent
+from ..integration.schedules import integrate_progressively
 from .camera import Camera
 from .film import on_film
 from .integrands import path_integrand
+from .regularize import Regularize, Shrinking
 from .scene import Scene
 from .strategy import PathOptions
 
@@ -66,7 +68,28 @@ def render_progressively(
     those of other samplers by whole randomisations, 4 by default. Passes are disjoint parts of the samples of
     ``render``: each of the estimates is unbiased and has its own error, NaN while there is but one sample or replicate.
     To stop earlier, leave the loop. Arguments, values and errors as in ``render``.
+
+    The amount of ``regularize`` may be a ``Shrinking``: then each pass has the amount of the samples in it, and the
+    bias fades. Points are independent ones then.
+
+    Raises:
+        ValueError: a ``Shrinking`` amount with other points or with replicates; otherwise as ``render``.
     """
+    rule = options.get("regularize")
+    if isinstance(rule, Regularize) and isinstance(rule.amount, Shrinking):
+        if not sampler.independent or replicates:
+            raise ValueError(f"a shrinking amount needs independent points, got {sampler!r}, replicates={replicates!r}")
+
+        def at(i):
+            blurred = options | {"regularize": dataclasses.replace(rule, amount=rule.amount(i))}
+            return Image.of(scene, camera, filter, tallies, bounces=bounces, **blurred)
+
+        first = at(1.0)
+        estimates = integrate_progressively(
+            lambda i: at(i).integrand, n=positive("spp", spp), items=camera.width * camera.height, key=key,
+            tallies=first.seen, progress=progress, workers=workers, chunk=chunk, kept=first.kept,
+        )  # fmt: skip
+        return map(first.shaped, estimates)
     image = Image.of(scene, camera, filter, tallies, bounces=bounces, **options)
     estimates = integrate_each_in_passes(
         image.integrand, camera.width * camera.height, n=positive("spp", spp), key=key, sampler=sampler,

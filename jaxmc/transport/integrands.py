@@ -18,6 +18,7 @@ from .materials import luminance
 from .paths import PathState, finish, follow, scatter, trace
 from .primitives import as_unit, as_vec3, is_concrete
 from .rays import Ray, ray
+from .regularize import memory_at_start
 from .scene import Scene
 from .strategy import PathOptions, Strategy
 from .vec import Vec3, dot
@@ -38,8 +39,8 @@ def path_integrand(scene: Scene, camera: Camera, *, bounces, **options: Unpack[P
         scene: what is there.
         camera: where it is seen from.
         bounces: largest number of scattering events; 0 is emission seen directly.
-        options: ``directions``, ``lights``, ``pick``, ``sample_sky``, ``roulette``, ``clamp``, ``hide_emitters``: see
-            ``PathOptions``.
+        options: ``directions``, ``lights``, ``pick``, ``sample_sky``, ``roulette``, ``clamp``, ``regularize``,
+            ``hide_emitters``: see ``PathOptions``.
 
     Raises:
         ValueError: an option out of range, or a scene or camera that is none.
@@ -52,11 +53,12 @@ def neumann_terms(scene: Scene, camera: Camera, *, bounces, **options: Unpack[Pa
     """Return the mean radiance of an image by path length, as an integrand of shape (bounces + 1,) or (bounces + 1, 3).
 
     Term k is the light that comes after exactly k scattering events: one flat integral for each, over the first
-    coordinates of the same path. Their sum is ``path_integrand``, sample by sample. Options as there, but no ``clamp``.
+    coordinates of the same path. Their sum is ``path_integrand``, sample by sample. Options as there, but no ``clamp``
+    of whole samples.
     """
     strategy = Strategy(bounces, **options)
-    if strategy.clamp is not None:
-        raise ValueError("neumann_terms has no clamp: it would apply to the sum of the terms; leave it out")
+    if strategy.clamp is not None and strategy.clamp.sample is not None:
+        raise ValueError("neumann_terms has no clamp of samples: it would apply to the sum of the terms; leave it out")
     return through_film(_Terms, scene, camera, strategy)
 
 
@@ -193,13 +195,15 @@ class _Receiver:
     def __call__(self, u, scene, point, normal):
         one = jnp.ones(()) if scene.channels == 1 else Vec3(*[jnp.ones(())] * 3)
         surface = Surface(point, normal, one, face_at(scene, point))
-        nowhere = PathState(ray(point, normal), Hit(jnp.inf, -1), one, black(scene), None)
+        rule = self.strategy.regularize
+        scattered = jnp.zeros((), bool) if rule else None
+        nowhere = PathState(ray(point, normal), Hit(jnp.inf, -1), one, black(scene), scattered, memory_at_start(rule))
         around = copy.copy(scene)
         # The receiver is diffuse, whatever it lies on.
         around.mirrors = around.rough = around.metals = around.dielectrics = ()
         state = scatter(around, self.strategy, u, 0, surface, nowhere, anywhere=True)
         first = len(self.strategy.coordinates(scene))
-        radiance, _ = follow(scene, self.strategy, u, first, state, self.strategy.bounces)
+        radiance, _ = follow(scene, self.strategy, u, first, state, self.strategy.bounces, received=1)
         return finish(self.strategy, jax.tree.map(lambda x: x * np.pi, radiance))
 
 
@@ -227,6 +231,9 @@ def _film_labels(camera):
 
 def _integrand(fn, scene, params, labels, extra=0):
     strategy = fn.strategy
+    if strategy.regularize:
+        strategy, scene = strategy.without_values(scene)
+        fn = dataclasses.replace(fn, strategy=strategy)
     for event in range(strategy.bounces + extra):
         labels += tuple(f"event {event + 1}, {word}" for word in strategy.coordinates(scene))
     labels = labels or ("unused",)

@@ -17,8 +17,8 @@ from . import bsdfs
 from .bsdfs import evaluate_bsdf, kinds_of, power_heuristic, sample_bsdf, weight_of_hit
 from .hits import Hit, Surface, closest_hit, surface_at, unoccluded
 from .lights import black, emission_toward, probability_of, sample_light
-from .materials import luminance
 from .rays import Ray, ray
+from .regularize import memory_at_start, soften
 from .scene import Scene
 from .sky import sample_sky, sky_inverse_pdf, sky_radiance
 from .strategy import POLAR, THROUGHPUT, Strategy
@@ -28,7 +28,8 @@ from .vec import Vec3, dot, larger, smaller, where
 class PathState(NamedTuple):
     """A path after some scattering events: its last ray and what it met, throughput and radiance collected.
 
-    ``scattered`` says that a surface has been met that is neither mirror nor glass; None where nobody asks.
+    ``scattered`` says that a surface has been met that is neither mirror nor glass, ``memory`` what a regularization
+    remembers of the path; None where nobody asks.
     """
 
     ray: Ray
@@ -36,6 +37,7 @@ class PathState(NamedTuple):
     beta: Any
     radiance: Any
     scattered: Any
+    memory: Any = None
 
 
 class Vertex(NamedTuple):
@@ -91,33 +93,43 @@ def _direct_light(scene, strategy, vertex: Vertex, u):
     return total
 
 
-def scatter(scene, strategy, u, first, surface: Surface, path: PathState, anywhere=False, event=0) -> PathState:
+def scatter(
+    scene, strategy, u, first, surface: Surface, path: PathState, anywhere=False, event=0, received=0
+) -> PathState:
     """Scatter a path at a surface: sample a light, then a direction, and follow it. A path that ended stays so.
 
-    ``anywhere``: the surface need not be one of the scene's. ``event`` counts the scattering events before this one.
+    ``anywhere``: the surface need not be one of the scene's. ``event`` counts the scattering events before this one;
+    ``received`` is 1 where the path came to a receiver before them.
     """
     alive = surface.face >= 0
     beta = path.beta * surface.reflectance
-    vertex = Vertex(surface, kinds_of(scene, surface), path.ray.direction, first, anywhere)
+    kinds, memory = kinds_of(scene, surface), path.memory
+    if strategy.regularize:
+        kinds, memory = soften(scene, strategy.regularize, kinds, path.scattered, memory)
+    vertex = Vertex(surface, kinds, path.ray.direction, first, anywhere)
     specular, radiance = vertex.kinds.specular, path.radiance
+
+    def limited(value):
+        return strategy.clamp.of_contribution(value, event + received) if strategy.clamp else value
+
     if strategy.lights != "none" and (scene.lights or strategy.samples_sky(scene)):
         direct = _direct_light(scene, strategy, vertex, u)
         direct = direct if specular is None else where(specular, black(scene), direct)
-        radiance = radiance + beta * direct
+        radiance = radiance + limited(beta * direct)
     toward = first + strategy.coordinates(scene).index(POLAR)
     wi, pdf, weight = sample_bsdf(
         scene, strategy.directions, surface, vertex.kinds, vertex.arriving, u[toward], u[toward + 1]
     )
     beta = beta if isinstance(weight, float) else beta * weight
+    beta = strategy.clamp.of_throughput(beta) if strategy.clamp else beta
     if strategy.roulette:
         survives, inverse = _roulette(strategy.roulette, beta, vertex.kinds, event, u[toward + 2])
         alive, beta = alive & survives, beta * inverse
     onward = ray(surface.point, wi)
     hit = closest_hit(scene, onward, surface.face)
     if scene.sky is not None:
-        radiance = radiance + where(
-            alive & (hit.face < 0), beta * _sky_met(scene, strategy, wi, pdf, surface.normal, specular), black(scene)
-        )
+        sky = limited(beta * _sky_met(scene, strategy, wi, pdf, surface.normal, specular))
+        radiance = radiance + where(alive & (hit.face < 0), sky, black(scene))
     hit = hit._replace(face=jnp.where(alive, hit.face, -1))
     scattered = path.scattered
     if scattered is not None and specular is not None:
@@ -126,10 +138,10 @@ def scatter(scene, strategy, u, first, surface: Surface, path: PathState, anywhe
         scattered = jnp.ones((), bool)
     if scene.lights and not (strategy.lights == "nee" and specular is None):
         met = _emission_met(scene, strategy, onward, hit, pdf, surface, specular)
-        if scattered is not None:
+        if scattered is not None and strategy.hide_emitters:
             met = where(scattered, met, black(scene))
-        radiance = radiance + beta * met
-    return PathState(onward, hit, beta, radiance, scattered)
+        radiance = radiance + limited(beta * met)
+    return PathState(onward, hit, beta, radiance, scattered, memory)
 
 
 def _roulette(roulette, beta, kinds, event, u):
@@ -196,18 +208,21 @@ def begin(scene, strategy, start: Ray, hit: Hit) -> PathState:
     radiance = emission_toward(scene, start, hit) if scene.lights and not strategy.hide_emitters else black(scene)
     if scene.sky is not None:
         radiance = radiance + where(hit.face < 0, sky_radiance(scene.sky, start.direction), black(scene))
-    is_asked = (scene.mirrors or scene.dielectrics) and strategy.hide_emitters
-    return PathState(start, hit, one, radiance, jnp.zeros((), bool) if is_asked else None)
+    if strategy.clamp:
+        radiance = strategy.clamp.of_contribution(radiance, 0)
+    hides = (scene.mirrors or scene.dielectrics) and strategy.hide_emitters
+    scattered = jnp.zeros((), bool) if hides or strategy.regularize else None
+    return PathState(start, hit, one, radiance, scattered, memory_at_start(strategy.regularize))
 
 
-def follow(scene, strategy, u, first, state: PathState, bounces, observe=None):
+def follow(scene, strategy, u, first, state: PathState, bounces, observe=None, received=0):
     """Scatter a path ``bounces`` times."""
     state = jax.tree.map(lambda x: jnp.asarray(x, float if jnp.result_type(x).kind == "f" else None), state)
     stride = len(strategy.coordinates(scene))
 
     def event(state, k):
         surface = surface_at(scene, state.ray, state.hit)
-        after = scatter(scene, strategy, u, first + stride * k, surface, state, event=k)
+        after = scatter(scene, strategy, u, first + stride * k, surface, state, event=k, received=received)
         return after, (observe(surface, after) if observe else None)
 
     if bounces == 0:
@@ -240,13 +255,6 @@ def apart(scene: Scene, function, *args):
 
 
 def finish(strategy: Strategy, radiance):
-    """Return the value of a path: a number or RGB of shape (3,), scaled down to luminance ``clamp`` where asked."""
-    value = jnp.stack(radiance) if isinstance(radiance, Vec3) else radiance
-    return value if strategy.clamp is None else clamp_luminance(value, strategy.clamp)
-
-
-def clamp_luminance(value, threshold):
-    """Scale values down to luminance ``threshold`` where they exceed it; channels, if any, on the last axis."""
-    y = luminance(value)
-    scale = jnp.where(y > threshold, threshold / y, 1.0)
-    return value * (scale if jnp.shape(value) == jnp.shape(y) else scale[..., None])
+    """Return the value of a path: a number or RGB of shape (3,), limited where asked."""
+    radiance = radiance if strategy.clamp is None else strategy.clamp.of_sample(radiance)
+    return jnp.stack(radiance) if isinstance(radiance, Vec3) else radiance

@@ -51,6 +51,7 @@ class Scene:
         twins: for each face the others on the same plane or sphere.
         tight: whether two planes lie so close together that hits must be exactly on their own.
         middle: the point that the kernel's coordinates are relative to, shape (3,): 0 where the scene lies around it.
+        blur: the amount of a ``Regularize``, put here by the integrands that have one; None: all is as sharp as it is.
         reach: the scene lies within this distance from ``middle``; infinite where that is not known.
 
     Facts hold for the values that the scene was built with: to move things, build a new scene.
@@ -62,7 +63,7 @@ class Scene:
 
     _data = (
         "shapes", "tables", "normal", "anchor", "inverse_radius", "inset", "reflectance", "alpha", "metal", "ior",
-        "emitters", "powers", "sky", "present", "middle", "reach",
+        "emitters", "powers", "sky", "present", "middle", "reach", "blur",
     )  # fmt: skip
     _static = (
         "channels", "owner", "first", "lights", "mirrors", "rough", "metals", "dielectrics", "casters", "empty",
@@ -98,6 +99,7 @@ class Scene:
         self.lights, emitters, powers = lights.emitters(shining)
         self.emitters, self.powers = _numbers(emitters), _numbers(powers)
         self.sky = _numbers(table_of_sky(sky, self._color))
+        self.blur = None
         self.present = _number(1.0)  # a 1 that the compiler does not know, see paths.apart
 
     def _paint(self, materials, colors, metal):

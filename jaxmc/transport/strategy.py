@@ -1,12 +1,13 @@
 """How paths are sampled: the options that all path integrands share."""
 
+import copy
 import dataclasses
 from typing import Any, TypedDict
 
-import numpy as np
-
 from ..integration.counts import is_count
+from .clamps import Clamp, as_clamp
 from .primitives import is_number
+from .regularize import Regularize, amount_of, as_regularize
 
 POLAR, AZIMUTH = "direction: polar", "direction: azimuth"
 THROUGHPUT = "throughput"
@@ -50,7 +51,10 @@ class PathOptions(TypedDict, total=False):
         variance, and costs some 9 ns a sample. "automatic".
     sample_sky: sample the sky at each event too, in addition to a light; False: it is found by directions alone.
     roulette: a ``Roulette``, or its survival; None: all paths have all their events.
-    clamp: scale each sample down to this luminance; biased. None: leave it.
+    clamp: scale each sample down to this luminance; or a ``Clamp``, with limits inside the path. Biased. None: leave
+        them.
+    regularize: a ``Regularize``, or its rule: make mirrors and metals less sharp after a path has scattered. Biased.
+        None: leave them.
     hide_emitters: leave out lights that the camera sees by itself or over mirrors alone. False.
     """
 
@@ -60,7 +64,8 @@ class PathOptions(TypedDict, total=False):
     light_points: str
     sample_sky: bool
     roulette: Any
-    clamp: float | None
+    clamp: float | Clamp | None
+    regularize: Regularize | str | None
     hide_emitters: bool
 
 
@@ -83,7 +88,8 @@ class Strategy:
     light_points: str = "automatic"
     sample_sky: bool = False
     roulette: Any = None
-    clamp: float | None = None
+    clamp: Any = None
+    regularize: Any = None
     hide_emitters: bool = False
 
     def __post_init__(self):
@@ -92,16 +98,26 @@ class Strategy:
         for name, known in CHOICES.items():
             if not isinstance(getattr(self, name), str) or getattr(self, name) not in known:
                 raise ValueError(f"{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
-        if self.clamp is not None:
-            if not (is_number(self.clamp) and 0.0 < self.clamp < np.inf):
-                raise ValueError(f"clamp must be a positive luminance or None, got {self.clamp!r}")
-            object.__setattr__(self, "clamp", float(self.clamp))
+        object.__setattr__(self, "clamp", as_clamp(self.clamp))
+        object.__setattr__(self, "regularize", as_regularize(self.regularize))
+        if self.regularize is not None and self.directions != "bsdf":
+            raise ValueError(f'regularize changes what materials draw: use directions="bsdf", got {self.directions!r}')
         if self.roulette is not None and not isinstance(self.roulette, Roulette):
             object.__setattr__(self, "roulette", Roulette(self.roulette))
 
     def without_bounces(self) -> "Strategy":
         """Return the strategy of paths that see emission directly only."""
         return dataclasses.replace(self, bounces=0)
+
+    def without_values(self, scene) -> "tuple[Strategy, Any]":
+        """Return the strategy without the amount of its regularization, and the scene with it, where it can be another
+        value for the same kernel; without a regularization where the scene has nothing to blur.
+        """
+        if not (scene.mirrors or scene.rough):
+            return dataclasses.replace(self, regularize=None), scene
+        blurred = copy.copy(scene)
+        blurred.blur = amount_of(self.regularize)
+        return dataclasses.replace(self, regularize=dataclasses.replace(self.regularize, amount=None)), blurred
 
     def coordinates(self, scene) -> tuple[str, ...]:
         """Return what the coordinates of one scattering event decide: what matters most comes first."""

@@ -7,7 +7,7 @@ Directions are in the local frame whose z axis is the surface normal.
 import jax.numpy as jnp
 import numpy as np
 
-from .vec import Vec3, larger
+from .vec import Vec3, dot, frame, larger
 
 
 def _coefficients(function, terms, end=0.25):
@@ -102,3 +102,29 @@ def sample_uniform_hemisphere(u1, u2):
 def pdf_uniform_hemisphere():
     """Density of ``sample_uniform_hemisphere`` per solid angle."""
     return 1.0 / (2.0 * np.pi)
+
+
+def sample_cone(axis, half_angle, u1, u2):
+    """Map (u1, u2) to a unit direction uniformly within ``half_angle``, radians in (0, pi], of the unit ``axis``."""
+    away = u1 * _one_minus_cosine(half_angle)
+    radius = jnp.sqrt(away * (2.0 - away))
+    sine, cosine = sincos_2pi(u2)
+    tangent, bitangent = frame(axis)
+    return tangent * (radius * cosine) + bitangent * (radius * sine) + axis * (1.0 - away)
+
+
+def pdf_cone(half_angle):
+    """Density of ``sample_cone`` per solid angle, inside of the cone."""
+    return (0.5 / np.pi) / _one_minus_cosine(half_angle)
+
+
+def is_in_cone(w, axis, half_angle):
+    """Return whether a unit direction lies within ``half_angle`` of ``axis``; by their difference, which keeps the
+    digits of a small angle."""
+    apart = w - axis
+    return dot(apart, apart) <= 2.0 * _one_minus_cosine(half_angle)
+
+
+def _one_minus_cosine(angle):
+    sine = jnp.sin(0.5 * angle)
+    return 2.0 * sine * sine
