@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .transport.camera import Camera, PinholeCamera
-from .transport.materials import Diffuse, Mirror
+from .transport.materials import Dielectric, Diffuse, Mirror
 from .transport.primitives import Box, Primitive, Quad, Sphere, Triangle
 from .transport.scene import Scene
 
@@ -57,6 +57,14 @@ def cornell_box_parts() -> Parts:
     spheres = [Sphere((-0.4, -0.65, -0.3), 0.35, white), Sphere((0.4, -0.65, 0.3), 0.35, white)]
     view = {"origin": (0, 0, 3.9), "target": (0, 0, 0), "up": (0, 1, 0), "fov": 40}
     return Parts([*walls, _lamp((0, 0.99, 0), 0.25, 15.0), *spheres], view)
+
+
+def cornell_glass(width=256, height=256) -> tuple[Scene, Camera]:
+    """Return the Cornell box with one sphere of mirror and one of glass."""
+    parts = cornell_box_parts()
+    *room, left, right = parts.primitives
+    spheres = [dataclasses.replace(left, material=Mirror(0.9)), dataclasses.replace(right, material=Dielectric(1.5))]
+    return _build(Parts([*room, *spheres], parts.view), width, height)
 
 
 def mirror_box(mirror=True, width=192, height=128) -> tuple[Scene, Camera]:
