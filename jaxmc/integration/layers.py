@@ -5,6 +5,7 @@ recoverable: the layers add up to it.
 """
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -72,7 +73,7 @@ class Cascade:
         # What reaches a layer: all of a sample as bright as it, nothing of one as bright as the layer below.
         share = [jnp.ones_like(light)]
         share += [jnp.clip((1.0 - b * inverse) / (1.0 - 1.0 / self.base), 0.0, 1.0) for b in heights[:-1]]
-        weights = [below - above for below, above in zip(share, share[1:])]
+        weights = [below - above for below, above in itertools.pairwise(share)]
         # Above the top, take the small share itself: as a difference of large ones it would lose its digits.
         stays = jnp.minimum(heights[-1] * inverse, 1.0)
         weights += [jnp.minimum(share[-1], stays), 1.0 - stays]
@@ -101,15 +102,16 @@ class Cascade:
 class LayerSums(NamedTuple):
     """Samples in bins of brightness: bin j from ``edges[j]`` up to the next edge, the first with all below.
 
-    ``count``, shape (bins, items...), is the number of samples, ``value``, shape (bins, items..., components...), their
-    sum and ``light``, shape (bins, items...), that of their brightness, both divided by ``n``.
+    ``count`` and ``total``, shape (bins, items...), are the number of samples and the sum of their brightness, as in a
+    ``Histogram``. ``value``, shape (bins, items..., components...), is their sum divided by ``n``; over the first axis
+    it adds up to the mean.
     """
 
     edges: np.ndarray
     n: int
     count: np.ndarray
+    total: np.ndarray
     value: np.ndarray
-    light: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,8 +141,8 @@ class Layers:
         axis = len(valid.shape) - len(axes)
         return {
             "count": jnp.stack([inside.sum(axes) for inside in bins], -1),
+            "total": jnp.stack([_sum(light, inside, axes) for inside in bins], -1),
             "value": jnp.stack([_sum(x, inside, axes) for inside in bins], axis),
-            "light": jnp.stack([_sum(light, inside, axes) for inside in bins], -1),
             "n": valid.sum(axes),
         }
 
@@ -155,8 +157,8 @@ class Layers:
 
     def result(self, state):
         n, axis = int(np.max(state["n"])), state["n"].ndim
-        count, value, light = (np.moveaxis(state[k], axis, 0) for k in ("count", "value", "light"))
-        return LayerSums(np.array(self.edges, float), n, count, value / n, light / n)
+        count, total, value = (np.moveaxis(state[k], axis, 0) for k in ("count", "total", "value"))
+        return LayerSums(np.array(self.edges, float), n, count, total, value / n)
 
 
 def _with_light(tally, values):
