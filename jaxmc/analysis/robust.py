@@ -44,8 +44,8 @@ def bucket_gini(buckets: BucketMeans) -> np.ndarray:
     x, _, M = _sorted(buckets)
     rank = np.arange(1, len(x) + 1).reshape(-1, *[1] * (x.ndim - 1))
     total = x.sum(0)
-    weighted = np.divide(2.0 * (rank * x).sum(0), M * total, out=(M + 1) / M + 0.0 * total, where=total > 0.0)
-    gini = np.clip(weighted - (M + 1) / M, 0.0, 1.0)
+    weighted = 2.0 * (rank * x).sum(0) / (M * np.where(total == 0.0, 1.0, total))
+    gini = np.clip(np.where(total == 0.0, 0.0, weighted - (M + 1) / M), 0.0, 1.0)
     return gini.mean(axis=tuple(range(buckets.count.ndim - 1, gini.ndim)))
 
 
@@ -117,7 +117,8 @@ def trimmed_mean(bins, fraction: float) -> CutMean:
     / P(c < t), which is below the mean. Raises ValueError unless 0 <= fraction < 1.
     """
     edge, count, below, above = _cut(bins, fraction)
-    return CutMean(np.divide(below, count - above, out=np.zeros_like(below), where=count > above), edge, above)
+    kept = count - above
+    return CutMean(np.where(kept > 0, below / np.maximum(kept, 1), 0.0)[()], edge, above)
 
 
 def winsorised_mean(bins, fraction: float) -> CutMean:
