@@ -223,6 +223,28 @@ def test_laws_of_the_optimum_at_infinite_variance():
     assert all(Pareto(2.0).optimal_threshold(N) == pytest.approx(1.0 + np.sqrt(N), rel=1e-12) for N in (4, 100, 12_345))
 
 
+BEST = [  # D1 with A = 500: p, N, best threshold, its MSE, MSE without clamping and with a threshold of 3
+    (1e-3, 16, 8.3739, 0.25077, 15.5834, 0.25260),
+    (1e-3, 128, 57.2311, 0.22181, 1.94792, 0.24771),
+    (1e-3, 1024, 253.336, 0.12329, 0.24349, 0.24710),
+    (1e-3, 10_000, 454.632, 0.022670, 0.024933, 0.24702),
+    (1e-4, 16, 1.2980, 7.699e-3, 1.56443, 7.717e-3),
+    (1e-4, 1024, 46.902, 2.3446e-3, 0.024444, 2.552e-3),
+]
+
+
+@pytest.mark.parametrize(("p", "N", "t", "best", "unclamped", "at_3"), BEST)
+def test_what_the_best_clamp_saves(p, N, t, best, unclamped, at_3):
+    law = Mix(p, 500.0)
+
+    def mse(t):
+        return law.clamp_bias(t) ** 2 + (law.clamped_square(t) - (law.mean - law.clamp_bias(t)) ** 2) / N
+
+    assert law.optimal_threshold(N) == pytest.approx(t, rel=5e-5)
+    exact = (mse(law.optimal_threshold(N)), law.variance / N, mse(3.0))
+    assert exact == pytest.approx((best, unclamped, at_3), rel=2e-4)
+
+
 def test_lognormal_thresholds_solve_their_equation():
     law = LogNormal(0.3, 1.2)
     for N in (4, 1000):

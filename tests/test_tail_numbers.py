@@ -104,6 +104,15 @@ def test_a_tail_of_one_atom_is_not_a_heavy_one():
     assert tails._fit_generalised_pareto(tail[tail > 0.0])[0] == pytest.approx(2.53, abs=0.3)
 
 
+def test_a_khat_just_below_one_asks_for_more_samples_than_there_are_numbers(monkeypatch):
+    # 10^(1 / (1 - khat)) has no float64 from khat = 0.9968 on.
+    sample = Pareto(1.0).sample(np.random.default_rng(3).random((1, S)))
+    for khat, few in ((0.99, True), (0.999, False)):
+        monkeypatch.setattr(tails, "_fit_generalised_pareto", lambda tail, khat=khat: (khat, 1.0))
+        fit = tails.pareto_khat(sample, S)
+        assert fit.status == "unreliable" and math.isfinite(fit.min_n) == few
+
+
 def test_effective_samples_and_waits_of_a_firefly():
     law = FIREFLY
     share = law.mean**2 / (law.variance + law.mean**2)

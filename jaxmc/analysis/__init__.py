@@ -1,7 +1,10 @@
 """What the samples say: reads tallies, never draws a sample."""
 
+from . import clamped_means as clamped_means
 from . import clamping as clamping
 from . import convergence as convergence
 from . import coverage as coverage
 from . import fireflies as fireflies
+from . import reweighting as reweighting
+from . import robust as robust
 from . import tails as tails
