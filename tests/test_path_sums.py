@@ -182,16 +182,16 @@ def test_laws_that_are_not_known_are_refused():
 
 
 SCENES = [
-    scenes.path_sum(),
+    pytest.param(scenes.path_sum(), marks=pytest.mark.slow),
     scenes.path_sum(depth=5, albedo=0.8, other_albedo=0.5, escape=0.2),
     scenes.disk_mollifier(),
-    scenes.disk_mollifier(a=-0.5, h=0.8),
-    scenes.cone_mirror(),
+    pytest.param(scenes.disk_mollifier(a=-0.5, h=0.8), marks=pytest.mark.slow),
+    pytest.param(scenes.cone_mirror(), marks=pytest.mark.slow),
     scenes.cone_mirror(offset=0.15, cone=0.25),
 ]
 
 
-@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.slug)
 def test_scenes_against_samples(scene):
     n = 300_000
     estimate = mc.integrate(scene.integrand, n=n, key=3)
@@ -200,7 +200,7 @@ def test_scenes_against_samples(scene):
     assert abs(estimate.variance - scene.exact_variance) <= 5.0 * error + 1e-4 * scene.exact_variance
 
 
-@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.slug)
 def test_derivatives_of_scenes_against_differences(scene):
     step = 1e-5
     with jax.enable_x64(True):
@@ -276,6 +276,7 @@ def test_the_chance_of_a_throughput_that_was_printed():
         assert special.gammainc(33, depth) == pytest.approx(chance, rel=0.03)
 
 
+@pytest.mark.slow
 def test_cosine_distributed_directions_have_no_tail():
     scene = scenes.cube_furnace(albedo=0.9, bounces=20)
     estimate = mc.integrate(scene.integrand, n=2000)

@@ -46,6 +46,10 @@ def integrate_columns(table, **options):
     return mc.integrate_each(f, items, n=n, sampler=Counting(), **options)
 
 
+def slow(*values):
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
 RANDOM = np.random.default_rng(5)
 TABLE = np.exp(RANDOM.normal(0.0, 3.0, (200, 7, 3))).astype(np.float32)
 
@@ -56,7 +60,7 @@ def bucket_means(samples, count):
     return [len(part) for part in parts], np.stack([part.mean(0) for part in parts])
 
 
-@pytest.mark.parametrize(("count", "n"), [(1, 131), (11, 200), (11, 131), (101, 131)])
+@pytest.mark.parametrize(("count", "n"), [slow(1, 131), slow(11, 200), (11, 131), slow(101, 131)])
 def test_buckets_of_a_family_hold_every_so_many_samples(count, n):
     got = integrate_columns(TABLE[:n], tallies={"b": mc.Buckets(count)})["b"]
     size, mean = bucket_means(TABLE[:n], count)
@@ -64,7 +68,7 @@ def test_buckets_of_a_family_hold_every_so_many_samples(count, n):
     assert got.mean.shape == (count, 7, 3) and np.allclose(got.mean, mean, rtol=2e-6)
 
 
-@pytest.mark.parametrize(("count", "n"), [(1, 5000), (3, 5000), (11, 7), (11, 150_001)])
+@pytest.mark.parametrize(("count", "n"), [slow(1, 5000), slow(3, 5000), (11, 7), (11, 150_001)])
 def test_buckets_of_one_integral_do_too(count, n):
     table = np.exp(RANDOM.normal(0.0, 2.0, (n, 2))).astype(np.float32)
     got = integrate_table(table, tallies={"b": mc.Buckets(count)}, chunk=1)["b"]
@@ -118,8 +122,9 @@ def test_uneven_shards_merge_to_the_whole(name):
     assert np.sum(getattr(tally.result(whole.states[name]), count)) > 0.0
 
 
-@pytest.mark.parametrize("chunk", [1, 2**20])
+@pytest.mark.parametrize("chunk", [1, slow(2**20)])
 def test_pixel_tallies_do_not_depend_on_the_chunk(chunk):
+    # Few samples of many integrals, then many of one.
     def run(chunk, workers):
         each = mc.integrate_each(_of_pixel, 40, n=130, tallies=PIXEL_TALLIES, chunk=chunk, workers=workers)
         one = mc.integrate(lambda u: _light(u, 0), dim=2, n=200_000, tallies=PIXEL_TALLIES, chunk=chunk)
@@ -145,7 +150,7 @@ def cascade_weights(light, base=8.0, start=1.0, layers=6):
     return weights
 
 
-@pytest.mark.parametrize("options", [{}, {"base": 2.0, "start": 0.1, "layers": 12}, {"layers": 2}], ids=str)
+@pytest.mark.parametrize("options", [{}, slow({"base": 2.0, "start": 0.1, "layers": 12}), slow({"layers": 2})], ids=str)
 def test_cascade_splits_every_sample_over_two_layers(options):
     tally = mc.Cascade(of=brightest, **options)
     table = TABLE.copy()
@@ -201,7 +206,7 @@ def test_values_that_are_not_finite_are_not_lost(bad):
     assert not np.isfinite(got["layers"].value[-1, 1]).any() and np.isfinite(got["layers"].value[:-1]).all()
 
 
-@pytest.mark.parametrize("filter", [None, pytest.param(mc.TentFilter(), marks=pytest.mark.slow)], ids=["none", "tent"])
+@pytest.mark.parametrize("filter", [None, slow(mc.TentFilter())], ids=["none", "tent"])
 def test_pixel_tallies_render(filter):
     camera = mc.PinholeCamera((0, 0, 4), (0, 0, 0), (0, 1, 0), 40.0, 8, 6)
     scene = mc.Scene([mc.Sphere((0, 0, 0), 1.0, mc.Diffuse((0.2, 0.5, 0.8)))], sky=1.0)

@@ -1,15 +1,15 @@
 """Buckets: the means of interleaved parts of the samples, for medians of means."""
 
 import dataclasses
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from .counts import is_count
-from .moments import apply, block_sum
+from .moments import apply
 
 
 class BucketMeans(NamedTuple):
@@ -46,25 +46,28 @@ class Buckets:
 
     def reduce(self, values, valid, axes):
         x = as_array(self, apply(self.of, values))
-        x = jnp.where(valid.reshape(valid.shape + (1,) * (x.ndim - 2)), x, 0.0)
-        if len(axes) == 2:
-            # Samples are numbered row by row: make one long column of them.
-            x, valid = x.reshape(-1, 1, *x.shape[2:]), valid.reshape(-1, 1)
-        total, count = self._by_number(x), self._by_number(valid.astype(jnp.int32))
-        if len(axes) == 2:
-            total, count = total[:, 0], count[:, 0]
-        else:
-            total, count = jnp.moveaxis(total, 0, 1), jnp.moveaxis(count, 0, 1)
-        return {"in_order": total, "count": count}
+        lanes = x.shape[1]
+        # Samples are numbered row by row, in one integral along the row as well.
+        step = 1 if len(axes) == 1 else lanes
 
-    def _by_number(self, x):
-        """Return the sums of rows r, r + count, r + 2 count, ... for r = 0 .. count - 1."""
-        turns = -(-len(x) // self.count)
-        short = math.isqrt(turns)
-        long = -(-turns // short)
-        padding = short * long * self.count - len(x)
-        x = jnp.pad(x, [(0, padding)] + [(0, 0)] * (x.ndim - 1))
-        return block_sum(x.reshape(short, long, self.count, *x.shape[1:]), (0, 1))
+        def add_row(r, sums, keep, x):
+            bucket = r * step % self.count
+            kept = jnp.where(keep.reshape(lanes, *[1] * (x.ndim - 1)), x, 0.0)
+            return sums[0].at[bucket].add(kept), sums[1].at[bucket].add(keep)
+
+        start = jnp.zeros((self.count, *x.shape[1:]), x.dtype), jnp.zeros((self.count, lanes), jnp.int32)
+        total, count = fold_rows(add_row, start, valid, x)
+        if len(axes) == 1:
+            return {"in_order": jnp.moveaxis(total, 1, 0), "count": jnp.moveaxis(count, 1, 0)}
+        return {"in_order": self._fold_lanes(total), "count": self._fold_lanes(count)}
+
+    def _fold_lanes(self, sums):
+        """Return the sums by bucket of sums by bucket of the row and by lane."""
+        turns = -(-sums.shape[1] // self.count)
+        padding = [(0, 0), (0, turns * self.count - sums.shape[1])] + [(0, 0)] * (sums.ndim - 2)
+        by_lane = jnp.pad(sums, padding).reshape(self.count, turns, self.count, *sums.shape[2:]).sum(1)
+        row = jnp.arange(self.count)
+        return by_lane[row[:, None], (row - row[:, None]) % self.count].sum(0)
 
     def init(self, record, items=()):
         total, lead = record["in_order"], 1 + len(items)
@@ -72,9 +75,9 @@ class Buckets:
 
     def add(self, state, record, where=..., *, first):
         # The record counts from the first sample of its block: turn it to where that belongs.
-        axis = record["count"].ndim - 1
-        state["total"][where] += np.roll(record["in_order"], first, axis)
-        state["count"][where] += np.roll(record["count"], first, axis)
+        axis, turn = record["count"].ndim - 1, first % self.count
+        for name, sums in (("total", record["in_order"]), ("count", record["count"])):
+            state[name][where] += np.roll(sums, turn, axis) if turn else sums
 
     def merge(self, a, b):
         return {k: a[k] + b[k] for k in a}
@@ -85,6 +88,12 @@ class Buckets:
         samples = count.reshape(count.shape + (1,) * (total.ndim - count.ndim))
         mean = np.divide(total, samples, out=np.full(total.shape, np.nan), where=samples > 0)
         return BucketMeans(count, mean)
+
+
+def fold_rows(step, start, valid, *arrays):
+    """Fold ``step(r, sums, valid row, rows...)`` over the rows of a block that any lane wants."""
+    used = valid.any(1).sum()
+    return lax.fori_loop(0, used, lambda r, sums: step(r, sums, valid[r], *(x[r] for x in arrays)), start)
 
 
 def as_array(tally, x):

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
-from .buckets import as_array
+from .buckets import as_array, fold_rows
 from .counts import is_count
-from .moments import apply, block_sum
+from .moments import apply
 
 LAYERS = 16
 
@@ -68,21 +69,20 @@ class Cascade:
 
     def reduce(self, values, valid, axes):
         x, light = _with_light(self, values)
-        inverse = 1.0 / jnp.maximum(light, self.start)
+        soft, value = _split(self._weights, self.layers + 1, light, [light, x], valid, axes)
+        heights = jnp.array([self.start * self.base**i for i in range(self.layers)], x.dtype)
+        return {"value": value, "soft": soft[..., :-1] / heights, "n": valid.sum(axes)}
+
+    def _weights(self, light):
         heights = [self.start * self.base**i for i in range(self.layers)]
+        inverse = 1.0 / jnp.maximum(light, self.start)
         # What reaches a layer: all of a sample as bright as it, nothing of one as bright as the layer below.
         share = [jnp.ones_like(light)]
         share += [jnp.clip((1.0 - b * inverse) / (1.0 - 1.0 / self.base), 0.0, 1.0) for b in heights[:-1]]
-        weights = [below - above for below, above in itertools.pairwise(share)]
         # Above the top, take the small share itself: as a difference of large ones it would lose its digits.
         stays = jnp.minimum(heights[-1] * inverse, 1.0)
-        weights += [jnp.minimum(share[-1], stays), 1.0 - stays]
-        soft = [_sum(w * (light / b), valid, axes) for w, b in zip(weights, heights)]
-        return {
-            "value": jnp.stack([_sum(_times(w, x), valid, axes) for w in weights], len(valid.shape) - len(axes)),
-            "soft": jnp.stack(soft, -1),
-            "n": valid.sum(axes),
-        }
+        between = [below - above for below, above in itertools.pairwise(share)]
+        return jnp.stack([*between, jnp.minimum(share[-1], stays), 1.0 - stays])
 
     def init(self, record, items=()):
         return _zeros(record, items)
@@ -136,15 +136,15 @@ class Layers:
 
     def reduce(self, values, valid, axes):
         x, light = _with_light(self, values)
-        above = [jnp.ones_like(valid)] + [~(light < edge) for edge in self.edges[1:]]
-        bins = [valid & lower & ~upper for lower, upper in zip(above, [*above[1:], jnp.zeros_like(valid)])]
-        axis = len(valid.shape) - len(axes)
-        return {
-            "count": jnp.stack([inside.sum(axes) for inside in bins], -1),
-            "total": jnp.stack([_sum(light, inside, axes) for inside in bins], -1),
-            "value": jnp.stack([_sum(x, inside, axes) for inside in bins], axis),
-            "n": valid.sum(axes),
-        }
+        ones = jnp.ones_like(light)
+        count, total, value = _split(self._inside, len(self.edges), light, [ones, light, x], valid, axes)
+        return {"count": count.astype(jnp.int32), "total": total, "value": value, "n": valid.sum(axes)}
+
+    def _inside(self, light):
+        above = [jnp.ones_like(light, bool), *(~(light < edge) for edge in self.edges[1:])]
+        return jnp.stack([lower & ~upper for lower, upper in itertools.pairwise(above)] + above[-1:]).astype(
+            light.dtype
+        )
 
     def init(self, record, items=()):
         return _zeros(record, items)
@@ -171,12 +171,24 @@ def _with_light(tally, values):
     return x, light.astype(x.dtype)
 
 
-def _times(weight, x):
-    return weight.reshape(weight.shape + (1,) * (x.ndim - weight.ndim)) * x
+def _split(weights, count, light, columns, valid, axes):
+    """Return for each column, an array of the samples of a block, its sums with each of ``count`` weights.
 
+    ``weights`` maps the brightness of a row to (count, lanes). The sums have shape (items..., count, components...).
+    """
+    lanes = light.shape[1]
+    sizes = [math.prod(x.shape[2:]) for x in columns]
 
-def _sum(x, keep, axes):
-    return block_sum(jnp.where(keep.reshape(keep.shape + (1,) * (x.ndim - keep.ndim)), x, 0.0), axes)
+    def add_row(r, sums, keep, light, *columns):
+        # Lanes go last, where vector code runs. The barrier keeps XLA from making the weights anew for each component.
+        x = jnp.concatenate([x.reshape(lanes, -1).T for x in columns])
+        w, x = lax.optimization_barrier((jnp.where(keep, weights(light), 0.0), x))
+        return sums + jnp.where(w[:, None] == 0.0, 0.0, w[:, None] * x)
+
+    sums = fold_rows(add_row, jnp.zeros((count, sum(sizes), lanes), light.dtype), valid, light, *columns)
+    sums = jnp.moveaxis(sums, -1, 0) if len(axes) == 1 else sums.sum(-1)
+    lead, parts = sums.shape[:-1], jnp.split(sums, np.cumsum(sizes)[:-1], axis=-1)
+    return [part.reshape(lead + x.shape[2:]) for part, x in zip(parts, columns, strict=True)]
 
 
 def _zeros(record, items):
