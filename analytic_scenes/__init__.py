@@ -25,6 +25,7 @@ from analytic_scenes import (
     mirror_balls,
     mirror_rooms,
     mirrors,
+    mollified,
     occlusion,
     pixels,
     receivers,
@@ -82,6 +83,7 @@ from analytic_scenes.mirrors import (
     sphere_light_in_mirror,
     sphere_light_in_small_mirror,
 )
+from analytic_scenes.mollified import cone_mirror, disk_mollifier
 from analytic_scenes.names import find
 from analytic_scenes.occlusion import (
     open_beside_sphere,
@@ -108,6 +110,7 @@ from analytic_scenes.skies import ball_under_zonal_sky, disk_of_ball_under_zonal
 from analytic_scenes.throughput import (
     critical_albedo,
     log_throughput,
+    path_sum,
     tail_index,
     throughput_exceedance,
     throughput_product,
@@ -117,6 +120,7 @@ from analytic_scenes.throughput import (
 FAMILIES = (
     furnace, enclosures, integrating_sphere, exchange, lights, lit_surfaces, occlusion, skies, shadows, mirrors,
     mirror_rooms, mirror_balls, rough_metal, glass, throughput, roulette, pixels,
+    mollified,
 )  # fmt: skip
 
 
@@ -151,12 +155,14 @@ __all__ = [
     "coated_floor",
     "coaxial_disks",
     "concentric_spheres",
+    "cone_mirror",
     "corner_rectangle_irradiance",
     "coverage",
     "critical_albedo",
     "critical_roulette_albedo",
     "cube_furnace",
     "disk_coverage",
+    "disk_mollifier",
     "disk_of_ball_under_zonal_sky",
     "eclipsed_solid_angle",
     "ellipse_coverage",
@@ -191,6 +197,7 @@ __all__ = [
     "mirror_image",
     "mirror_rooms",
     "mirrors",
+    "mollified",
     "occlusion",
     "offset_rectangles",
     "open_beside_sphere",
@@ -209,6 +216,7 @@ __all__ = [
     "parallelogram_irradiance",
     "parallelogram_solid_angle",
     "path_length",
+    "path_sum",
     "pixels",
     "polygon_irradiance",
     "receivers",

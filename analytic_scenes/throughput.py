@@ -15,13 +15,13 @@ from typing import Any
 
 import jax.numpy as jnp
 from jax.scipy.special import gammainc
-from scipy.special import lambertw
 
 import jaxmc as mc
 from analytic_scenes.enclosures import plates
+from analytic_scenes.furnace import geometric_sum
 from analytic_scenes.scene import AnalyticScene, value_and_derivatives, variance_and_kurtosis
 from jaxmc.integration.counts import is_count
-from jaxmc.testing import ThroughputProduct
+from jaxmc.testing import PathSum, ThroughputProduct
 from jaxmc.transport import rays
 from jaxmc.transport.paths import trace
 
@@ -38,6 +38,8 @@ def default_scenes() -> tuple[AnalyticScene, ...]:
         throughput_walk(albedo=0.9, other_albedo=0.4),
         log_throughput(),
         throughput_exceedance(),
+        path_sum(),
+        path_sum(depth=5, albedo=0.8, other_albedo=0.5, escape=0.2),
     )
 
 
@@ -148,30 +150,84 @@ def exceedance(albedo, threshold, events):
     return jnp.where(depth > 0, gammainc(float(events), jnp.where(depth > 0, depth, 1.0)), 0.0)
 
 
-def critical_albedo(q: float) -> float:
+def path_sum(
+    albedo: float = 0.6, depth: float = math.inf, other_albedo: float | None = None, escape: float = 0.0
+) -> AnalyticScene:
+    """Return the sum S = 1 + w_1 + w_1 w_2 + ... over the lengths of a path where every surface emits 1.
+
+    At most ``depth`` events (math.inf is allowed; then what is left out is below 1e-9), on surfaces that take turns
+    where there is an ``other_albedo``; at each the path is lost with probability ``escape``. See
+    ``jaxmc.testing.PathSum``. Without end the variance is finite while the product of both albedos is below
+    3 / (4 (1 - escape)); where it is not, ``exact_variance`` is None, and likewise ``exact_kurtosis``.
+    Raises ``ValueError`` for albedos that are not positive or paths that do not fade.
+    """
+    albedos = (albedo,) if other_albedo is None else (albedo, other_albedo)
+    _check(max(depth, 1), *albedos, 1.0 - escape)
+    law = PathSum(albedo, depth, other_albedo, escape)
+    moments = [law.moment(q) for q in (1, 2, 3, 4)]
+    if not math.isfinite(moments[0]):
+        raise ValueError(f"albedos whose product is below 1 are needed; got {albedos}")
+    known = [q for q in (2, 4) if math.isfinite(moments[q - 1])]
+    variance, kurtosis = variance_and_kurtosis([m if math.isfinite(m) else 0.0 for m in moments])
+    arguments = {"albedo": albedo} if other_albedo is None else {"albedo": albedo, "other_albedo": other_albedo}
+    formula = functools.partial(_path_sum_mean, depth=depth, escape=escape)
+    exact, derivatives = value_and_derivatives(formula, **arguments)
+    lengths = "all lengths" if depth == math.inf else f"up to {depth} events"
+    return AnalyticScene(
+        name=f"path sum, {lengths}, albedo {' and '.join(f'{x:g}' for x in albedos)}"
+        + (f", {escape:g} escape" if escape else ""),
+        integrand=mc.Integrand(_PathSumSample(depth, law.dim, escape), law.dim, tuple(map(float, arguments.values()))),
+        exact=exact,
+        exact_variance=variance if 2 in known else None,
+        exact_kurtosis=kurtosis if 4 in known else None,
+        derivatives=derivatives,
+        source="moments by recursion; Goldie (1991) for the tail",
+        formula=formula,
+        arguments=arguments,
+        geometry="No scene: the sum that a path collects in a furnace with uniform directions.",
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _PathSumSample:
+    depth: float
+    events: int
+    escape: float
+
+    def __call__(self, u, albedo, other_albedo=None):
+        # The number of events does not follow the albedo while that is differentiated.
+        return PathSum(albedo, min(self.depth, self.events), other_albedo, self.escape).sample(u)
+
+
+def _path_sum_mean(albedo, other_albedo=None, depth=math.inf, escape=0.0):
+    first = (1.0 - escape) * albedo
+    second = first if other_albedo is None else (1.0 - escape) * other_albedo
+    pairs = math.inf if depth == math.inf else (depth + 2) // 2
+    odd = math.inf if depth == math.inf else (depth + 1) // 2
+    return geometric_sum(first * second, pairs) + first * (geometric_sum(first * second, odd) if odd else 0.0)
+
+
+def critical_albedo(q: float, escape: float = 0.0) -> float:
     """Return the albedo at which the ``q``-th moment of the furnace estimator with uniform directions diverges.
 
-    E w^q = (2 rho)^q / (q + 1) = 1 at rho = (q + 1)^(1/q) / 2: sqrt(3)/2 for the variance, 0.7477 for the fourth
-    moment, on which the error bar of a sample variance depends.
+    E w^q = (1 - escape) (2 rho)^q / (q + 1) = 1 at rho = ((q + 1) / (1 - escape))^(1/q) / 2: sqrt(3)/2 for the
+    variance, 0.7477 for the fourth moment, on which the error bar of a sample variance depends. Where two albedos take
+    turns it is their geometric mean: the variance is finite while their product is below 3/4. ``escape`` is the
+    probability that a path is lost at an event.
     """
-    return (q + 1) ** (1 / q) / 2
+    return ((q + 1) / (1 - escape)) ** (1 / q) / 2
 
 
-def tail_index(rho: float) -> float:
+def tail_index(rho: float, escape: float = 0.0) -> float:
     """Return kappa of the power-law tail P(S > x) ~ C x^-kappa of the endless furnace estimator S = 1 + 2 rho U S'.
 
-    kappa solves (2 rho)^kappa = 1 + kappa, so kappa = -1 - W_-1(-a e^-a)/a with a = ln(2 rho). For rho <= 1/2 no weight
-    exceeds 1, there is no power-law tail, and the answer is infinity. Raises ``ValueError`` outside 0 <= rho <= 1.
-
-    Source: Kesten, Random difference equations and renewal theory for products of random matrices (1973);
-    Goldie, Implicit renewal theory and tails of solutions of random equations (1991).
+    kappa solves (1 - escape) (2 rho)^kappa = 1 + kappa: see ``jaxmc.testing.PathSum.tail_index``. For rho <= 1/2 no
+    weight exceeds 1, there is no power-law tail, and the answer is infinity. Raises ``ValueError`` outside
+    0 <= rho <= 1.
     """
     if not 0 <= rho <= 1:
         raise ValueError(f"an albedo in [0, 1] is needed; got {rho}")
-    if rho <= 0.5:
-        return math.inf
-    a = math.log(2 * rho)
-    return -1.0 - float(lambertw(-a * math.exp(-a), -1).real) / a
+    return math.inf if rho <= 0.5 else PathSum(rho, escape=escape).tail_index
 
 
 @dataclasses.dataclass(frozen=True)

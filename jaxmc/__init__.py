@@ -11,6 +11,7 @@ backend.configure()
 from . import analysis as analysis
 from .integration.adaptive import ImportanceMap as ImportanceMap
 from .integration.adaptive import adapt as adapt
+from .integration.buckets import Buckets as Buckets
 from .integration.combine import combine as combine
 from .integration.compiled import estimator as estimator
 from .integration.controls import control_variates as control_variates
@@ -23,6 +24,8 @@ from .integration.estimate import Estimate as Estimate
 from .integration.integrand import Integrand as Integrand
 from .integration.intervals import Interval as Interval
 from .integration.lattices import Lattice as Lattice
+from .integration.layers import Cascade as Cascade
+from .integration.layers import Layers as Layers
 from .integration.mixtures import mixture as mixture
 from .integration.mixtures import one_sample_mixture as one_sample_mixture
 from .integration.mixtures import optimal_mixture as optimal_mixture

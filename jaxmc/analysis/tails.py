@@ -16,6 +16,7 @@ from ..integration.intervals import Ends
 
 RELIABLE_KHAT = 0.7  # ceiling of the reliability threshold, Vehtari et al., arXiv 1507.02646
 ROUNDING = 1e-5  # of a float32 path, relative to the tail: far below the gaps of a continuous law
+MOST_DIGITS = 308  # of a float64
 LEAST_EXCEEDANCES = 5  # fewest points a generalised Pareto law is fitted to
 
 
@@ -87,7 +88,8 @@ def pareto_khat(largest: np.ndarray, n: int) -> TailFit:
     else:
         khat, scale = _fit_generalised_pareto(tail)
         stderr = max(1.0 + khat, 0.5) / np.sqrt(tail.size)
-        min_n = 10.0 ** (1.0 / (1.0 - max(khat, 0.0))) if khat < 1.0 else np.inf
+        digits = 1.0 / (1.0 - max(khat, 0.0)) if khat < 1.0 else np.inf
+        min_n = 10.0**digits if digits < MOST_DIGITS else np.inf
         status = "no mean" if khat >= 1.0 else "reliable" if khat < reliable_below else "unreliable"
         return TailFit(khat, stderr, tail.size, threshold, scale, reliable_below, min_n, status, recommended)
     return TailFit(np.nan, np.nan, tail.size, threshold, np.nan, reliable_below, np.nan, status, recommended)

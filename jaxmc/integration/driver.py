@@ -116,6 +116,11 @@ def _as_array(x):
     return x if isinstance(x, jax.Array) else np.asarray(x)
 
 
+def _place(record, first):
+    """Return what a tally is told that goes by the order of samples: the number of the first sample of a block."""
+    return {"first": int(first)} if "in_order" in record else {}
+
+
 @jax.jit
 def _on_device(arrays):
     return arrays
@@ -262,7 +267,8 @@ class Run:
             # Lanes are integrals: drop the lanes behind the last one.
             count = len(range(*job.items.indices(self.items)))
             flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], record)
-            tally.add(state, flat, slice(job.items.start, job.items.start + count))
+            where = slice(job.items.start, job.items.start + count)
+            tally.add(state, flat, where, **_place(record, job.first[0]))
         else:
             blocks = len(jax.tree.leaves(record)[0])
             which = job.replicate[:blocks] - (self.used - (self.replicates or 0))
@@ -271,7 +277,7 @@ class Run:
                 return
             for block in range(blocks):
                 where = (which[block],) if name == self.apart else ...
-                tally.add(state, jax.tree.map(itemgetter(block), record), where)
+                tally.add(state, jax.tree.map(itemgetter(block), record), where, **_place(record, job.first[block]))
 
     def _moments(self):
         """Return the moments of all samples, and moments and values of the means of the replicates."""

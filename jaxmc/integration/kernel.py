@@ -32,6 +32,7 @@ class Job(NamedTuple):
     rows: np.ndarray  # (blocks, lanes) int32: how many rows of this lane are wanted
     replicate: np.ndarray  # (blocks,): which randomisation the samples belong to
     items: slice  # which integrals of a family the lanes belong to
+    first: np.ndarray  # (blocks,): how many samples of its integral and randomisation come before those of a block
     stride: int = 1
 
     @property
@@ -57,7 +58,7 @@ def stream_jobs(ranges, blocks, rows=ROWS) -> Iterator[Job]:
         base = np.zeros((blocks, rows), np.uint64)
         base[: len(piece)] = ((replicate << np.uint64(32)) + first)[:, None] + steps
         offset = np.broadcast_to(lanes.astype(np.uint32), (blocks, LANES))
-        yield Job(base, offset, wanted, replicate.astype(int), slice(None))
+        yield Job(base, offset, wanted, replicate.astype(int), slice(None), first)
 
 
 def item_jobs(ranges, items, blocks, lanes, independent) -> Iterator[Job]:
@@ -76,7 +77,7 @@ def item_jobs(ranges, items, blocks, lanes, independent) -> Iterator[Job]:
                 rows = np.where(offset < items, min(stop - sample, ROWS), 0).astype(np.int32)
                 yield Job(
                     np.broadcast_to(base, (blocks, ROWS)), offset.astype(np.uint32), rows, np.full(blocks, replicate),
-                    slice(item, item + rows.size), 1 if independent else 1 << 32,
+                    slice(item, item + rows.size), np.full(blocks, sample), 1 if independent else 1 << 32,
                 )  # fmt: skip
 
 

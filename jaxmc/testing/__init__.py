@@ -7,8 +7,9 @@
 ``assert_jacobian``    the density against the derivative of the map that draws, exactly, point by point
 ====================  ==================================================================================================
 
-``Mix``, ``Pareto``, ``LogNormal``, ``Exponential`` and ``ThroughputProduct`` are laws of one sample of which everything
-is known. Whole estimators are checked against scenes of known answer by ``analytic_scenes.check``.
+``Mix``, ``Pareto``, ``LogNormal``, ``Exponential``, ``ThroughputProduct`` and ``PathSum`` are laws of one sample of
+which everything is known, ``DiskMollifier`` one of which the moments are. Whole estimators are checked against scenes
+of known answer by ``analytic_scenes.check``.
 """
 
 from .checks import ROUNDING as ROUNDING
@@ -24,10 +25,12 @@ from .domains import SQUARE as SQUARE
 from .domains import Domain as Domain
 from .domains import box as box
 from .domains import directions as directions
+from .laws import DiskMollifier as DiskMollifier
 from .laws import Exponential as Exponential
 from .laws import LogNormal as LogNormal
 from .laws import Mix as Mix
 from .laws import Pareto as Pareto
 from .laws import ThroughputProduct as ThroughputProduct
+from .path_sums import PathSum as PathSum
 from .warps import assert_jacobian as assert_jacobian
 from .warps import assert_samples_pdf as assert_samples_pdf

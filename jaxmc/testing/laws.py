@@ -12,6 +12,7 @@ Searls, JASA 61 (1966)).
 A float32 coordinate ends 2^-24 short of 1, so inverse transforms cut tails off near probability 1e-7.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -208,6 +209,38 @@ class ThroughputProduct(NamedTuple):
 
     def optimal_threshold(self, N: int) -> float:
         return _solve_threshold(self, N)
+
+
+class DiskMollifier(NamedTuple):
+    """A delta function blurred: (1 + a |x|^2) / h^2 where |x| < h <= 1, for x uniform on the unit disk; a >= -1.
+
+    As h falls the mean tends to the value 1 at the middle, off by a h^2 / 2, and the variance grows as 1 / h^2: the
+    bias and the variance of a mirror or a point light that is made a little wider.
+    """
+
+    a: float
+    h: float
+    dim = 2
+
+    def sample(self, u):
+        xp = _library(u[0])
+        radius = xp.sqrt(u[0])
+        x, y = radius * xp.cos(2.0 * np.pi * u[1]), radius * xp.sin(2.0 * np.pi * u[1])
+        square = x * x + y * y
+        return xp.where(square < self.h**2, (1.0 + self.a * square) / self.h**2, 0.0)
+
+    def moment(self, q: int) -> float:
+        """Return E c^q for a whole q >= 1: the integral of (1 + a v)^q over v < h^2, over h^2q."""
+        v = self.h**2
+        return sum(math.comb(q, j) * self.a**j * v ** (j + 1) / (j + 1) for j in range(q + 1)) / v**q
+
+    @property
+    def mean(self) -> float:
+        return self.moment(1)
+
+    @property
+    def variance(self) -> float:
+        return self.moment(2) - self.moment(1) ** 2
 
 
 def _library(x):
