@@ -24,10 +24,18 @@ from .strategy import POLAR, THROUGHPUT, Strategy
 from .vec import Vec3, dot, larger, smaller, where
 
 
+class Gained(NamedTuple):
+    """What one scattering event added to the radiance: by what was sampled, and by what the next ray met."""
+
+    sampled: Any
+    met: Any
+
+
 class PathState(NamedTuple):
     """A path after some scattering events: its last ray and what it met, throughput and radiance collected.
 
-    ``scattered`` says that a surface has been met that is neither mirror nor glass; None where nobody asks.
+    ``scattered`` says that a surface has been met that is neither mirror nor glass, ``gained`` what the last event
+    brought; both are None where nobody asks.
     """
 
     ray: Ray
@@ -35,6 +43,7 @@ class PathState(NamedTuple):
     beta: Any
     radiance: Any
     scattered: Any
+    gained: Gained | None = None
 
 
 class Vertex(NamedTuple):
@@ -98,11 +107,12 @@ def scatter(scene, strategy, u, first, surface: Surface, path: PathState, anywhe
     alive = surface.face >= 0
     beta = path.beta * surface.reflectance
     vertex = Vertex(surface, kinds_of(scene, surface), path.ray.direction, first, anywhere)
-    specular, radiance = vertex.kinds.specular, path.radiance
+    specular, radiance, sampled, met = vertex.kinds.specular, path.radiance, black(scene), black(scene)
     if strategy.lights != "none" and (scene.lights or strategy.samples_sky(scene)):
         direct = _direct_light(scene, strategy, vertex, u)
         direct = direct if specular is None else where(specular, black(scene), direct)
-        radiance = radiance + beta * direct
+        sampled = beta * direct
+        radiance = radiance + sampled
     toward = first + strategy.coordinates(scene).index(POLAR)
     wi, pdf, weight = sample_bsdf(
         scene, strategy.directions, surface, vertex.kinds, vertex.arriving, u[toward], u[toward + 1]
@@ -114,9 +124,10 @@ def scatter(scene, strategy, u, first, surface: Surface, path: PathState, anywhe
     onward = ray(surface.point, wi)
     hit = closest_hit(scene, onward, surface.face)
     if scene.sky is not None:
-        radiance = radiance + where(
+        met = where(
             alive & (hit.face < 0), beta * _sky_met(scene, strategy, wi, pdf, surface.normal, specular), black(scene)
         )
+        radiance = radiance + met
     hit = hit._replace(face=jnp.where(alive, hit.face, -1))
     scattered = path.scattered
     if scattered is not None and specular is not None:
@@ -124,11 +135,13 @@ def scatter(scene, strategy, u, first, surface: Surface, path: PathState, anywhe
     elif scattered is not None:
         scattered = jnp.ones((), bool)
     if scene.lights and not (strategy.lights == "nee" and specular is None):
-        met = _emission_met(scene, strategy, onward, hit, pdf, surface, specular)
+        emitted = _emission_met(scene, strategy, onward, hit, pdf, surface, specular)
         if scattered is not None:
-            met = where(scattered, met, black(scene))
-        radiance = radiance + beta * met
-    return PathState(onward, hit, beta, radiance, scattered)
+            emitted = where(scattered, emitted, black(scene))
+        emitted = beta * emitted
+        radiance = radiance + emitted
+        met = emitted if path.gained is None else met + emitted
+    return PathState(onward, hit, beta, radiance, scattered, path.gained and Gained(sampled, met))
 
 
 def _roulette(roulette, beta, kinds, event, u):
