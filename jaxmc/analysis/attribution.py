@@ -146,7 +146,9 @@ def firefly_parts(found: CovarianceResult, names=None) -> FireflyShares:
     """
     parts, odd = divmod(found.mean.shape[1], 2)
     if odd:
-        raise ValueError("expected the result of Covariance(of=FireflyParts(threshold)): twice as many numbers as parts")
+        raise ValueError(
+            "expected the result of Covariance(of=FireflyParts(threshold)): twice as many numbers as parts"
+        )
     names, n = _checked_names(names, parts), int(found.n.sum())
     count = np.rint(found.total_mean[:parts] * n).astype(int)
     if not count.sum():

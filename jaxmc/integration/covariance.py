@@ -169,7 +169,8 @@ class CovarianceResult(NamedTuple):
         without = [
             np.asarray(
                 function(
-                    (total.sum(0) - total[k]) / (n.sum() - n[k]), (scatter.sum(0) - scatter[k]) / (freedom.sum() - freedom[k])
+                    (total.sum(0) - total[k]) / (n.sum() - n[k]),
+                    (scatter.sum(0) - scatter[k]) / (freedom.sum() - freedom[k]),
                 )
             )
             for k in used

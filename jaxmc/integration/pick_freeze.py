@@ -21,7 +21,9 @@ def coordinate_groups(f: Integrand, group: Callable[[str], str] = before_comma) 
     return tuple(map(group, f.labels)) if f.labels else tuple(f"u[{k}]" for k in range(f.dim))
 
 
-def pick_freeze(f, *, dim=None, group: Callable[[str], str] = before_comma, of=None) -> tuple[Integrand, tuple[str, ...]]:
+def pick_freeze(
+    f, *, dim=None, group: Callable[[str], str] = before_comma, of=None
+) -> tuple[Integrand, tuple[str, ...]]:
     """Return an integrand whose covariances hold the Sobol' indices of ``f``, and the names of the groups.
 
     Its value has shape (2 + groups,): f at two independent points, then for each group at the first point with the
@@ -41,7 +43,9 @@ def pick_freeze(f, *, dim=None, group: Callable[[str], str] = before_comma, of=N
     words = coordinate_groups(f, group)
     names = tuple(dict.fromkeys(words))
     if len(names) < 2:
-        raise ValueError(f"all {f.dim} coordinates are in the group {names[0]!r}: their total index is 1; pass group=...")
+        raise ValueError(
+            f"all {f.dim} coordinates are in the group {names[0]!r}: their total index is 1; pass group=..."
+        )
     fn = _PickFreeze(f.fn, f.dim, f.lazy, tuple(names.index(w) for w in words), of)
     return Integrand(fn, 2 * f.dim, f.params, lazy=f.lazy), names
 

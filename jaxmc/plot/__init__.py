@@ -20,6 +20,7 @@ from .images import normals as normals
 from .intervals import histograms as histograms
 from .intervals import reliability as reliability
 from .intervals import z_scores as z_scores
+from .paths import path_in_scene as path_in_scene
 from .tails import SAMPLE_COUNT_COLORS as SAMPLE_COUNT_COLORS
 from .tails import clamp_bias as clamp_bias
 from .tails import clamp_mse as clamp_mse

@@ -49,7 +49,9 @@ def automaton(classes) -> Automaton:
                 todo.append(reached)
             after[-1] += (states[reached],)
         if len(states) > MOST_STATES:
-            raise ValueError(f"the classes {classes!r} need more than {MOST_STATES} states; ask for fewer or simpler ones")
+            raise ValueError(
+                f"the classes {classes!r} need more than {MOST_STATES} states; ask for fewer or simpler ones"
+            )
     return Automaton(tuple(classes), tuple(after), tuple(found))
 
 
