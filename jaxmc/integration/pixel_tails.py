@@ -120,7 +120,9 @@ class PixelTails:
     def result(self, state):
         above = np.moveaxis(state["above"], (-1, -2), (0, 1))
         largest = np.asarray(state["largest"], np.float64)
-        return TailSums(state["moments"].moments(), largest, np.array(self.thresholds), above[0].astype(int), *above[1:])
+        return TailSums(
+            state["moments"].moments(), largest, np.array(self.thresholds), above[0].astype(int), *above[1:]
+        )
 
 
 def _largest_of(a, b):
