@@ -30,6 +30,7 @@ from .integration.moments import Moments as Moments
 from .integration.nets import Halton as Halton
 from .integration.nets import Sobol as Sobol
 from .integration.pick_freeze import pick_freeze as pick_freeze
+from .integration.pixel_tails import PixelTails as PixelTails
 from .integration.samplers import Independent as Independent
 from .integration.spike import Spike as Spike
 from .integration.spike import spike as spike

@@ -59,8 +59,8 @@ def image_bias2(first, second, reference, reference_variance=0.0) -> Bias2:
     """Return the mean over pixels of bias^2, from two independent halves of the samples: the mean of
     (first - r)(second - r), whose noise is independent and so averages out.
 
-    ``reference_variance``: of the reference itself, a number or one for each pixel; it would count as bias, and is taken
-    off. The standard error takes pixels as independent; channels are not, so pass luminance.
+    ``reference_variance``: of the reference itself, a number or one for each pixel; it would count as bias, and is
+    taken off. The standard error takes pixels as independent; channels are not, so pass luminance.
     """
     a, r = _pair(first, reference)
     b, _ = _pair(second, reference)

@@ -158,7 +158,7 @@ def _tile_fit(largest, n):
 
 
 def leverage(sums: TailSums, N: int, eta: float, reference: np.ndarray) -> np.ndarray:
-    """Return how many samples of a pixel of ``N`` are expected to move it by more than ``eta`` of its value, shape (I,).
+    """Return how many of ``N`` samples of each pixel move it by more than ``eta`` of its value, on average, shape (I,).
 
     That is N P(c > eta N mean) (F2), from the largest samples kept: NaN where all of those are beyond.
     ``reference``: the means (I,), such as those of another render.

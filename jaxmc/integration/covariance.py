@@ -19,8 +19,8 @@ class Covariance:
     """Mean vector and covariance matrix of a sample that is a vector, such as the parts of a path integrand.
 
     Samples are divided into up to 32 groups, which are kept apart, so that any function of mean and covariance gets a
-    standard error (``CovarianceResult.jackknife``). In a family of integrals the groups are the integrals: an image has a
-    matrix for each pixel. Blocks are centred and scaled by themselves, and merged in float64 (Chan, Golub & LeVeque,
+    standard error (``CovarianceResult.jackknife``). In a family of integrals the groups are the integrals: an image has
+    a matrix for each pixel. Blocks are centred and scaled by themselves, and merged in float64 (Chan, Golub & LeVeque,
     The American Statistician 37 (1983)).
 
     Attributes:
@@ -166,14 +166,8 @@ class CovarianceResult(NamedTuple):
         used = np.flatnonzero(freedom > 0)
         if len(used) < 2:
             raise ValueError(f"a jackknife needs two groups with samples, got {len(used)}: draw more samples")
-        without = [
-            np.asarray(
-                function(
-                    (total.sum(0) - total[k]) / (n.sum() - n[k]),
-                    (scatter.sum(0) - scatter[k]) / (freedom.sum() - freedom[k]),
-                )
-            )
-            for k in used
-        ]
+        means = (total.sum(0) - total) / (n.sum() - n)[:, None]
+        covariances = (scatter.sum(0) - scatter) / (freedom.sum() - freedom)[:, None, None]
+        without = [np.asarray(function(means[k], covariances[k])) for k in used]
         spread = np.sum((without - np.mean(without, 0)) ** 2, 0)
         return np.asarray(function(self.total_mean, self.covariance)), np.sqrt((1.0 - 1.0 / len(used)) * spread)

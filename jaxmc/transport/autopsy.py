@@ -40,8 +40,8 @@ def autopsy(
 ) -> Autopsy:  # fmt: skip
     """Return the path of a sample of ``render`` and the gradient of its log luminance with respect to its coordinates.
 
-    Arguments and errors as in ``replay`` and ``spike``: a sample without light has no spike. ``plot.path_in_scene`` draws
-    the path.
+    Arguments and errors as in ``replay`` and ``spike``: a sample without light has no spike. ``plot.path_in_scene``
+    draws the path.
     """
     path = replay(scene, camera, index, key=key, sampler=sampler, points=points, **options)
     if not isinstance(path, Path):

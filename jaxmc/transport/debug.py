@@ -27,8 +27,8 @@ from .strategy import Roulette
 class Vertex(NamedTuple):
     """One scattering event. ``throughput`` and ``gained`` are luminances: of the path before the event, and of the
     radiance that the event added, by a sampled light or by what the next ray ``met``: "light", "sky", "surface" or
-    "nothing"; "roulette" where the path ended here. The ``normal`` is on the side that the path came from. ``reached`` is
-    where the next ray arrives, not finite where it meets nothing."""
+    "nothing"; "roulette" where the path ended here. The ``normal`` is on the side that the path came from. ``reached``
+    is where the next ray arrives, not finite where it meets nothing."""
 
     kind: str
     primitive: int

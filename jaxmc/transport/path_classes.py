@@ -2,7 +2,8 @@
 
 The notation is Heckbert's (SIGGRAPH 1990), from the eye on: ``E`` is the eye, ``L`` the light or the sky, and between
 them each scattering event is a ``D`` (diffuse), a ``G`` (glossy: rough metal) or an ``S`` (specular: mirror or glass).
-``.`` is any of them, ``[DG]`` one of a few; ``( )``, ``|``, ``*``, ``+`` and ``?`` are as everywhere. Spaces do not count.
+``.`` is any of them, ``[DG]`` one of a few; ``( )``, ``|``, ``*``, ``+`` and ``?`` are as everywhere. Spaces do not
+count.
 
 Expressions become an automaton by their derivatives (Brzozowski, J. ACM 11 (1964)): what is left of an expression
 after one letter is an expression again, and there are finitely many.

@@ -45,8 +45,8 @@ def path_parts(
             them, such as ("class", "technique"): one part for each combination.
         classes: expressions such as "E D S+ L", see ``path_classes``; the first one that matches counts, and what
             matches none is the last part, "other". By default light seen directly, over mirrors, direct light, light
-            that reaches a surface over mirrors ("E S* [DG] S+ L" with one such surface, "E .* [DG] S+ L" with more), and
-            all other indirect light.
+            that reaches a surface over mirrors ("E S* [DG] S+ L" with one such surface, "E .* [DG] S+ L" with more),
+            and all other indirect light.
         bounces: largest number of scattering events; 0 is emission seen directly.
 
     Raises:
