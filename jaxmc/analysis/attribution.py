@@ -83,8 +83,8 @@ def variance_parts(found: CovarianceResult, names=None) -> VarianceParts:
 
 @dataclasses.dataclass(frozen=True)
 class FireflyParts:
-    """What parts bring to fireflies, for ``Covariance(of=FireflyParts(threshold))``, which ``firefly_parts`` reads: of a
-    sample in parts whose sum is at least ``threshold``, which part is largest, and the energy in each; else zeros.
+    """What parts bring to fireflies, for ``Covariance(of=FireflyParts(threshold))``, which ``firefly_parts`` reads:
+    of a sample in parts that sum to ``threshold`` or more, which part is largest, and the energy in each; else zeros.
 
     Attributes:
         threshold: positive; a firefly is a sample whose parts sum to it or more.

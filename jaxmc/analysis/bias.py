@@ -1,8 +1,8 @@
 """Is one image biased against another? Welch's test of tiles, and when it may be believed.
 
 A *Welch sample* is the sum of one sample from each pixel of a tile. Many pixels in a sum bring it near the normal law
-that the test assumes. Source: Jung, Hanika & Dachsbacher, "Detecting Bias in Monte Carlo Renderers using Welch's t-test",
-JCGT 9(2), 2020.
+that the test assumes. Source: Jung, Hanika & Dachsbacher, "Detecting Bias in Monte Carlo Renderers using Welch's
+t-test", JCGT 9(2), 2020.
 
 A test that does not reject proves nothing: its power grows as the noise falls. With fireflies so rare that a Welch
 sample mostly holds none, both images mostly miss the same energy, and the test is conservative rather than exact.

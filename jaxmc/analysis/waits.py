@@ -25,8 +25,8 @@ def visible_share(N, p: float, value: float, tolerance: float) -> np.ndarray:
     """Return the share of pixels of N samples with a visible firefly: 1 - (1 - p)^N to N = value / tolerance, then 0.
 
     One sample ``value`` moves a pixel by about value / N, and is seen while that is above ``tolerance``. So more
-    samples look worse until N = value / tolerance. Two fireflies in a pixel, which are seen for twice as long, are left out:
-    good for p N well below 1.
+    samples look worse until N = value / tolerance. Two fireflies in a pixel, which are seen for twice as long, are
+    left out: good for p N well below 1.
     """
     _check_probability(p)
     N = np.asarray(N, np.float64)
