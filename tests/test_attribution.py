@@ -79,10 +79,31 @@ def test_a_family_has_a_matrix_for_each_integral_and_the_noise_is_theirs_alone()
         return jnp.stack([100.0 * item + u[0], u[0] * u[1]])
 
     found = mc.integrate_each(mc.Integrand(f, 2), 50, n=300, tallies={"parts": mc.Covariance()})["parts"]
-    assert found.each and found.covariances.shape == (50, 2, 2) and np.all(found.n == 300)
+    assert found.each and found.covariances.shape == (50, 2, 2) and np.all(found.n == 150)
     assert found.covariances[:, 0, 0] == pytest.approx(1 / 12, rel=0.2)
     assert found.covariance[0, 0] == pytest.approx(1 / 12, rel=0.05)  # not 100^2 times something
     assert found.covariance[0, 1] == pytest.approx(1 / 24, rel=0.05)
+
+
+def uneven(u, item):
+    """Return two parts whose sizes differ a hundredfold from integral to integral."""
+    size = jnp.where(item % 10 == 0, 100.0, 1.0)
+    return jnp.stack([size * u[0], u[0] + u[1]])
+
+
+def test_what_integrals_differ_by_is_no_error():
+    z, f = [], mc.Integrand(uneven, 2)
+    # Var: (1000 / 12, 1 / 6) on average over the integrals, covariance 10.9 / 12.
+    exact = np.array([(0.1 * 1e4 + 0.9) / 12, 1 / 6, 10.9 / 12])
+    total = exact[0] + exact[1] + 2 * exact[2]
+    share = (exact[0] + exact[2]) / total
+    for key in range(20):
+        parts = variance_parts(mc.integrate_each(f, 40, n=64, key=key, tallies={"c": mc.Covariance()})["c"])
+        z.append([(parts.share[0] - share) / parts.share_stderr[0], (parts.total - total) / parts.total_stderr])
+    z = np.array(z)
+    assert np.abs(z).max() < 6.0 and np.abs(z.mean(0)).max() < 1.2 and np.all((0.6 < z.std(0)) & (z.std(0) < 1.6))
+    with pytest.raises(ValueError, match="4 samples"):
+        variance_parts(mc.integrate_each(f, 40, n=1, tallies={"c": mc.Covariance()})["c"])
 
 
 def check_shares(parts, whole_variance):
@@ -145,7 +166,7 @@ def test_what_cannot_be_divided_is_refused():
         firefly_parts(found)
     with pytest.raises(ValueError, match="no firefly"):
         firefly_parts(mc.integrate(rare, dim=2, n=1000, tallies={"f": mc.Covariance(of=FireflyParts(1e3))})["f"])
-    with pytest.raises(ValueError, match="two groups"):
+    with pytest.raises(ValueError, match="two groups of two"):
         variance_parts(covariance(mc.Integrand(three, 2), 1))
     with pytest.raises(ValueError, match="threshold"):
         FireflyParts(0.0)

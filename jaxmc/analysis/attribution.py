@@ -65,14 +65,14 @@ def variance_parts(found: CovarianceResult, names=None) -> VarianceParts:
     Raises:
         ValueError: names of another number, or too few samples for an error.
     """
-    count = found.mean.shape[1]
+    count = found.mean.shape[-1]
     names = _checked_names(names, count)
 
     def shares(_, covariance):
         whole = covariance.sum()
         return np.append(_ratio(covariance.sum(0), whole), whole)
 
-    values, errors = found.jackknife(shares)
+    values, errors = found.propagate(shares)
     covariance = found.covariance
     variance, deviation = np.diag(covariance), np.sqrt(np.diag(covariance))
     return VarianceParts(
@@ -144,7 +144,7 @@ def firefly_parts(found: CovarianceResult, names=None) -> FireflyShares:
     Raises:
         ValueError: no firefly among the samples, names of another number, or another tally.
     """
-    parts, odd = divmod(found.mean.shape[1], 2)
+    parts, odd = divmod(found.mean.shape[-1], 2)
     if odd:
         raise ValueError(
             "expected the result of Covariance(of=FireflyParts(threshold)): twice as many numbers as parts"
@@ -153,7 +153,7 @@ def firefly_parts(found: CovarianceResult, names=None) -> FireflyShares:
     count = np.rint(found.total_mean[:parts] * n).astype(int)
     if not count.sum():
         raise ValueError(f"no firefly among {n:,} samples: lower the threshold or draw more")
-    energy, stderr = found.jackknife(lambda mean, _: _ratio(mean[parts:], mean[parts:].sum()))
+    energy, stderr = found.propagate(lambda mean, _: _ratio(mean[parts:], mean[parts:].sum()))
     interval = clopper_pearson(count, int(count.sum()))
     return FireflyShares(names, count, count / count.sum(), interval, energy, stderr, n, int(count.sum()))
 
@@ -200,7 +200,7 @@ def sobol_indices(found: CovarianceResult, names=None) -> SobolIndices:
     Raises:
         ValueError: names of another number, or too few samples for an error.
     """
-    names = _checked_names(names, found.mean.shape[1] - 2)
+    names = _checked_names(names, found.mean.shape[-1] - 2)
 
     def indices(_, c):
         variance = np.diag(c)
@@ -208,7 +208,7 @@ def sobol_indices(found: CovarianceResult, names=None) -> SobolIndices:
         total = 1.0 - _ratio(c[0, 2:], 0.5 * (variance[0] + variance[2:]))
         return np.concatenate([first, total, [0.5 * (variance[0] + variance[1])]])
 
-    values, errors = found.jackknife(indices)
+    values, errors = found.propagate(indices)
     (first, total, whole), (first_error, total_error, error) = (
         np.split(x, [len(names), 2 * len(names)]) for x in (values, errors)
     )
