@@ -105,6 +105,7 @@ def test_khat_of_tiles_pools_their_samples(family):
     assert {f.status for row in pixels.khat_tiles(few, WIDTH, HEIGHT, 4) for f in row} <= {"truncated", "atomic"}
 
 
+@pytest.mark.slow
 def test_uneven_shards_merge_to_the_same(family):
     sums, c = family
     x = jnp.asarray(c.T, jnp.float32)
