@@ -90,8 +90,16 @@ class PixelTails:
             return powers, kept, found, bad + (wanted & ~jnp.isfinite(x))
 
         start = [zero] * 4, [lowest] * self.largest, [[zero] * 3 for _ in self.thresholds], jnp.zeros(zero.shape, int)
+        # Four rows at a time: what is summed up goes through memory a quarter as often.
+        together = 4 if len(c) % 4 == 0 else 1
+
+        def add_some(k, state):
+            for r in range(together):
+                state = add(together * k + r, state)
+            return state
+
         used = valid.any(1).sum()
-        powers, largest, above, bad = lax.fori_loop(0, used, add, start)
+        powers, largest, above, bad = lax.fori_loop(0, -(-used // together), add_some, start)
         return {
             "moments": {
                 "count": valid.sum(0).astype(c.dtype), "mean": c[0], "scale": zero + 1.0, "powers": powers,
