@@ -18,7 +18,7 @@ from .hits import closest_hit
 from .integrands import Film, through_film
 from .lights import black
 from .materials import luminance
-from .path_classes import LETTERS, Automaton, automaton
+from .path_classes import LETTERS, automaton
 from .paths import Gained, apart, begin, follow
 from .scene import Scene
 from .strategy import PathOptions, Strategy
@@ -114,14 +114,14 @@ class _Parts(Film):
     """Radiance through a film position by parts."""
 
     by: tuple[str, ...]
-    machine: Automaton | None
+    machine: Any  # an ``Automaton``, or None where no classes are asked for
     names: tuple[tuple[str, ...], ...]
 
     def __call__(self, u, scene, camera, pixel=None):
         bounces, start = self.strategy.bounces, self.start(u, scene, camera, pixel)
         hit = closest_hit(scene, start) if bounces else apart(scene, lambda: closest_hit(scene, start))
         path = begin(scene, self.strategy, start, hit)._replace(gained=Gained(black(scene), black(scene)))
-        _, seen = follow(scene, self.strategy, u, self.first(camera, pixel), path, bounces, _Observer(scene))
+        seen: Any = follow(scene, self.strategy, u, self.first(camera, pixel), path, bounces, _Observer(scene))[1]
         contributions = luminance(path.radiance)[None]
         if bounces:
             contributions = jnp.concatenate([contributions, seen.sampled, seen.met])
