@@ -15,6 +15,8 @@ from .integration.buckets import Buckets as Buckets
 from .integration.combine import combine as combine
 from .integration.compiled import estimator as estimator
 from .integration.controls import control_variates as control_variates
+from .integration.covariance import Covariance as Covariance
+from .integration.covariance import CovarianceResult as CovarianceResult
 from .integration.debias import debias as debias
 from .integration.debias import debias_price as debias_price
 from .integration.draw import draw as draw
@@ -32,8 +34,12 @@ from .integration.mixtures import optimal_mixture as optimal_mixture
 from .integration.moments import Moments as Moments
 from .integration.nets import Halton as Halton
 from .integration.nets import Sobol as Sobol
+from .integration.pick_freeze import pick_freeze as pick_freeze
+from .integration.pixel_tails import PixelTails as PixelTails
 from .integration.samplers import Independent as Independent
 from .integration.schedules import integrate_progressively as integrate_progressively
+from .integration.spike import Spike as Spike
+from .integration.spike import spike as spike
 from .integration.stratified import LatinHypercube as LatinHypercube
 from .integration.stratified import Stratified as Stratified
 from .integration.tallies import ClampLadder as ClampLadder
@@ -43,6 +49,8 @@ from .integration.tallies import TopSamples as TopSamples
 from .integration.techniques import Technique as Technique
 from .live import preview as preview
 from .transport.areas import irradiance_by_areas as irradiance_by_areas
+from .transport.autopsy import Autopsy as Autopsy
+from .transport.autopsy import autopsy as autopsy
 from .transport.camera import PinholeCamera as PinholeCamera
 from .transport.clamps import Clamp as Clamp
 from .transport.clamps import ClampLevels as ClampLevels
@@ -68,6 +76,8 @@ from .transport.materials import Mirror as Mirror
 from .transport.materials import RoughConductor as RoughConductor
 from .transport.materials import luminance as luminance
 from .transport.occlusion import ambient_occlusion as ambient_occlusion
+from .transport.path_parts import part_names as part_names
+from .transport.path_parts import path_parts as path_parts
 from .transport.primitives import Box as Box
 from .transport.primitives import Quad as Quad
 from .transport.primitives import Sphere as Sphere

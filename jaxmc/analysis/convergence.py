@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special, stats
 
+from .metrics import relative_mse as relative_mse
+
 
 class Rate(NamedTuple):
     """A line through log RMSE against log n: ``log RMSE = intercept + slope log n``.
@@ -63,15 +65,6 @@ def image_error(image: np.ndarray, reference: np.ndarray, reference_variance: np
     mean is taken off, so the result is unbiased and may fall below 0. Raises ValueError if the shapes differ.
     """
     return float(np.mean(_difference(image, reference) ** 2) - np.mean(reference_variance))
-
-
-def relative_mse(image: np.ndarray, reference: np.ndarray, eps: float = 0.01) -> float:
-    """Return the mean of (image - reference)^2 / (reference^2 + eps), the relMSE of the rendering literature.
-
-    ``eps`` (radiance squared) keeps black pixels from ruling the mean; values are comparable at equal ``eps`` only.
-    Raises ValueError if the shapes differ.
-    """
-    return float(np.mean(_difference(image, reference) ** 2 / (np.asarray(reference, dtype=np.float64) ** 2 + eps)))
 
 
 def _difference(image, reference):

@@ -27,7 +27,8 @@ from .strategy import Roulette
 class Vertex(NamedTuple):
     """One scattering event. ``throughput`` and ``gained`` are luminances: of the path before the event, and of the
     radiance that the event added, by a sampled light or by what the next ray ``met``: "light", "sky", "surface" or
-    "nothing"; "roulette" where the path ended here. The ``normal`` is on the side that the path came from."""
+    "nothing"; "roulette" where the path ended here. The ``normal`` is on the side that the path came from. ``reached``
+    is where the next ray arrives, not finite where it meets nothing."""
 
     kind: str
     primitive: int
@@ -36,6 +37,7 @@ class Vertex(NamedTuple):
     throughput: float
     gained: float
     met: str
+    reached: np.ndarray
 
 
 class Path(NamedTuple):
@@ -160,6 +162,7 @@ def _replay(integrand, tables, seed, words, pixels, sampler):
             return after, {
                 "face": surface.face, "point": jnp.stack(surface.point), "normal": jnp.stack(surface.normal),
                 "throughput": luminance(after.beta), "radiance": luminance(after.radiance), "next": after.hit.face,
+                "reached": jnp.stack(after.ray.origin + after.ray.direction * after.hit.distance),
                 "survives": survives(state, surface, u, first, k),
             }  # fmt: skip
 
@@ -188,9 +191,8 @@ def _path(scene, camera, index, pixel, value, direct, first_face, events) -> Pat
         total = float(events["radiance"][k])
         met = _met(scene, int(events["next"][k])) if events["survives"][k] else "roulette"
         point, normal = events["point"][k] + scene.middle, events["normal"][k]
-        vertices.append(
-            Vertex(_kind(scene, face), scene.owner[face], point, normal, throughput, total - collected, met)
-        )
+        kind, reached = _kind(scene, face), events["reached"][k] + scene.middle
+        vertices.append(Vertex(kind, scene.owner[face], point, normal, throughput, total - collected, met, reached))
         throughput, collected = float(events["throughput"][k]), total
     end = vertices[-1].met if vertices else _met(scene, int(first_face))
     pixel = (int(pixel) % camera.width, int(pixel) // camera.width)

@@ -25,11 +25,18 @@ from .strategy import POLAR, THROUGHPUT, Strategy
 from .vec import Vec3, dot, larger, smaller, where
 
 
+class Gained(NamedTuple):
+    """What one scattering event added to the radiance: by what was sampled, and by what the next ray met."""
+
+    sampled: Any
+    met: Any
+
+
 class PathState(NamedTuple):
     """A path after some scattering events: its last ray and what it met, throughput and radiance collected.
 
     ``scattered`` says that a surface has been met that is neither mirror nor glass, ``memory`` what a regularization
-    remembers of the path; None where nobody asks.
+    remembers of the path, ``gained`` what the last event brought; all are None where nobody asks.
     """
 
     ray: Ray
@@ -38,6 +45,7 @@ class PathState(NamedTuple):
     radiance: Any
     scattered: Any
     memory: Any = None
+    gained: Gained | None = None
 
 
 class Vertex(NamedTuple):
@@ -107,7 +115,7 @@ def scatter(
     if strategy.regularize:
         kinds, memory = soften(scene, strategy.regularize, kinds, path.scattered, memory)
     vertex = Vertex(surface, kinds, path.ray.direction, first, anywhere)
-    specular, radiance = vertex.kinds.specular, path.radiance
+    specular, radiance, sampled, met = vertex.kinds.specular, path.radiance, black(scene), black(scene)
 
     def limited(value):
         return strategy.clamp.of_contribution(value, event + received) if strategy.clamp else value
@@ -115,7 +123,8 @@ def scatter(
     if strategy.lights != "none" and (scene.lights or strategy.samples_sky(scene)):
         direct = _direct_light(scene, strategy, vertex, u)
         direct = direct if specular is None else where(specular, black(scene), direct)
-        radiance = radiance + limited(beta * direct)
+        sampled = limited(beta * direct)
+        radiance = radiance + sampled
     toward = first + strategy.coordinates(scene).index(POLAR)
     wi, pdf, weight = sample_bsdf(
         scene, strategy.directions, surface, vertex.kinds, vertex.arriving, u[toward], u[toward + 1]
@@ -129,7 +138,8 @@ def scatter(
     hit = closest_hit(scene, onward, surface.face)
     if scene.sky is not None:
         sky = limited(beta * _sky_met(scene, strategy, wi, pdf, surface.normal, specular))
-        radiance = radiance + where(alive & (hit.face < 0), sky, black(scene))
+        met = where(alive & (hit.face < 0), sky, black(scene))
+        radiance = radiance + met
     hit = hit._replace(face=jnp.where(alive, hit.face, -1))
     scattered = path.scattered
     if scattered is not None and specular is not None:
@@ -137,11 +147,13 @@ def scatter(
     elif scattered is not None:
         scattered = jnp.ones((), bool)
     if scene.lights and not (strategy.lights == "nee" and specular is None):
-        met = _emission_met(scene, strategy, onward, hit, pdf, surface, specular)
+        emitted = _emission_met(scene, strategy, onward, hit, pdf, surface, specular)
         if scattered is not None and strategy.hide_emitters:
-            met = where(scattered, met, black(scene))
-        radiance = radiance + limited(beta * met)
-    return PathState(onward, hit, beta, radiance, scattered, memory)
+            emitted = where(scattered, emitted, black(scene))
+        emitted = limited(beta * emitted)
+        radiance = radiance + emitted
+        met = emitted if path.gained is None else met + emitted
+    return PathState(onward, hit, beta, radiance, scattered, memory, path.gained and Gained(sampled, met))
 
 
 def _roulette(roulette, beta, kinds, event, u):
