@@ -109,7 +109,9 @@ def compare(
             if own.averages:
                 averages[own.name] = [_average(own, shots, spp, k) for k in range(ROUNDS)]
             else:
-                images[own.name] = {N: _own(own, shots, N, spp) for N in counts if _repeats(N, spp) >= LEAST}
+                images[own.name] = {
+                    N: _own(own, shots, N, spp, OWN * k) for k, N in enumerate(counts) if _repeats(N, spp) >= LEAST
+                }
         times = _times(cures, shots, rounds)
     shape = camera.height, camera.width
     rows = [_row(c, images, averages, plain.means, counts, times[c.name], shape) for c in cures]
@@ -206,7 +208,9 @@ def _plain(shots, cures, ladder, counts, spp) -> _Plain:
         found.excess.append(sums.excess.astype(np.float32))
         found.spread.append(((sums.clamped_square - sums.clamped**2) * (part / (part - 1.0))).mean(1))
         for N, sofar in large.items():
-            sofar[:] = [tuple(map(_joined, pair, new)) for pair, new in zip(sofar or [(None, None)] * len(results), results)]
+            sofar[:] = [
+                tuple(map(_joined, pair, new)) for pair, new in zip(sofar or [(None, None)] * len(results), results)
+            ]
             if (k + 1) % (N // part) == 0:
                 add_images(N, sofar)
                 sofar.clear()
@@ -226,11 +230,11 @@ def _average(cure, shots, spp, part):
     return cure.image(Kept((result,), shots.camera.width)), numbers(result.variance).mean()
 
 
-def _own(cure, shots, N, spp):
-    """Return independent images of a cure with samples of its own."""
+def _own(cure, shots, N, spp, stream):
+    """Return independent images of a cure with samples of its own, whose seeds the reference does not have."""
     images = []
     for r in range(min(OWN, _repeats(N, spp))):
-        (result,) = shots(cure.render, N, (1 << 14) + N % (1 << 13) * OWN + r, [cure.tally])
+        (result,) = shots(cure.render, N, (1 << 14) + stream + r, [cure.tally])
         images.append(np.asarray(cure.image(Kept((result,), shots.camera.width))).ravel())
     return images
 

@@ -24,7 +24,9 @@ class Table(NamedTuple):
         rows = [_line(row, counts, whole) for row in comparison.rows]
         best = [short(b.mse, b.mse_stderr) for b in comparison.best.values()]
         words = ", ".join(f"{b.threshold:.3g}" for b in comparison.best.values())
-        rows.append([f"best clamp, t* = {words}", "bias^2 + variance / N", MISSING, *best, *[MISSING] * (3 * len(best))])
+        rows.append(
+            [f"best clamp, t* = {words}", "bias^2 + variance / N", MISSING, *best, *[MISSING] * (3 * len(best))]
+        )
         return cls(headers, rows)
 
     def short(self) -> "Table":
@@ -40,7 +42,7 @@ class Table(NamedTuple):
 
 def _line(row, counts, whole):
     at = [row.at.get(N) for N in counts]
-    lost = [(-100.0 * m.bias / whole, 100.0 * m.bias_stderr / whole) if m else None for m in at]
+    lost = [(-100.0 * m.bias / whole + 0.0, 100.0 * m.bias_stderr / whole) if m else None for m in at]
     pairs = [(m.mse, m.mse_stderr) if m else None for m in at] + lost
     pairs += [(m.squared_bias, m.squared_bias_stderr) if m else None for m in at]
     pairs += [(m.variance, m.variance_stderr) if m else None for m in at]
@@ -51,10 +53,8 @@ def _line(row, counts, whole):
 
 def short(value: float, error: float) -> str:
     """Return ``4.51(3)e-4``: a number with the error of its last digits, a power of ten where it is small."""
-    if not (math.isfinite(value) and math.isfinite(error)):
-        return f"{value:.3g}"
-    if error == 0.0:
-        return f"{value:.3g}"
+    if not (math.isfinite(value) and math.isfinite(error)) or error == 0.0:
+        return f"{value + 0.0:.3g}"
     size = max(abs(value), error)
     place = math.floor(math.log10(size))
     if -2 <= place < 4:

@@ -1,6 +1,7 @@
 """Figures: each function draws on the Axes that it is given. The only room that imports matplotlib."""
 
 from ..pictures import tone_map as tone_map
+from .cures import cures as cures
 from .curves import OTHER_MARKERS as OTHER_MARKERS
 from .curves import OWN_COLORS as OWN_COLORS
 from .curves import bars as bars
