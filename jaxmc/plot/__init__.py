@@ -7,6 +7,7 @@ from .curves import OWN_COLORS as OWN_COLORS
 from .curves import bars as bars
 from .curves import convergence as convergence
 from .curves import law as law
+from .curves import mean_ranges as mean_ranges
 from .curves import rates as rates
 from .curves import rounding_errors as rounding_errors
 from .curves import time_to_error as time_to_error
