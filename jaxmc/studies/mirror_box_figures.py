@@ -1,8 +1,9 @@
-"""The figures of the source of the study ``mirror-box``, one by one: its images 17-1 to 17-4, what it says of the shadow
-of fireflies and of random pixels, and the re-weighting that it names.
+"""The figures of the source of the study ``mirror-box``, one by one: its images 17-1 to 17-4, what it says of shadows
+without fireflies and of random pixels, and the re-weighting that it names.
 """
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from .. import plot
 from ..analysis import convergence
@@ -107,10 +108,11 @@ def _shadow(report, scene, camera, reference):
     report.section("The shadow without fireflies")
     fig, axes = plot.panels(2, 2, (6.2, 4.4))
     plot.heat_map(axes[0], seen, "share of the mirror sphere that is seen from there", cmap="cividis")
-    plot.heat_map(axes[1], np.log10(np.maximum(rate, 0.25 / count)), "log10 of the rate of fireflies")
+    plot.heat_map(axes[1], 1e6 * gaussian_filter(rate, 3.0), "fireflies in a million samples, smoothed")
     caption = (
         "Left: how much of the mirror sphere a place sees; behind the green sphere lies its shadow. Right: how often a "
-        "sample that starts there is a firefly."
+        "sample that starts there is a firefly, smoothed over 3 pixels: the shadow is no hole, as paths that scatter "
+        "twice before they meet the mirror start in it too."
     )
     report.figure(fig, "shadow", caption)
     headers = ["of the mirror sphere seen", "pixels", "fireflies", "in a million samples", "stderr"]
