@@ -242,7 +242,8 @@ def test_the_figures_of_the_source_of_the_mirror_box(tmp_path):
     assert names >= {f"figure_17_{k}" for k in (1, 2, 3, 4)} | {"reweighted", "shadow", "random_pixels"}
     values = json.loads((tmp_path / "report.json").read_text())["values"]
     images = {row["image"]: row for row in values["images of the source"]}
-    assert images["clamped at 3, 16 spp"]["mse"] < 0.1 * images["16 spp"]["mse"]
+    assert images["diffuse sphere, 16 spp"]["mse"] < 0.1 * images["mirror sphere, 16 spp"]["mse"]
+    assert images["clamped at 3, 16 spp"]["mse"] < 0.1 * images["mirror sphere, 16 spp"]["mse"]
     assert images["regularized, 128 spp"]["mean"] > images["clamped at 3, 1024 spp"]["mean"] + 0.02
     rates = [row["fireflies"] / row["samples"] for row in values["fireflies by view of the mirror"]]
     assert rates[0] > 1.2 * rates[1]

@@ -22,7 +22,7 @@ ROUNDS = 32  # independent parts of the reference
 FEW = 16  # images of fewer samples than a part has
 OWN = 8  # images, at most, of a cure that has samples of its own and does not average them
 SHORTER = 4  # cures that average samples of their own get so many times fewer than the reference
-TIMED = 64  # samples per pixel of a timed image
+TIMED = 1 << 19  # samples, at least, of a timed image: what a call costs once must not count
 
 
 class Row(NamedTuple):
@@ -146,7 +146,7 @@ def _total(cures, counts, spp, rounds, camera):
     own = [c for c in cures if c.render is not render]
     once = sum(N * min(OWN, _repeats(N, spp)) for N in counts if _repeats(N, spp) >= LEAST)
     total = plain + sum(spp // SHORTER if c.averages else once for c in own)
-    timed = len({(c.render, c.tally) for c in cures}) * TIMED * (rounds + 1 if rounds else 0)
+    timed = len({(c.render, c.tally) for c in cures}) * _timed_spp(camera) * (rounds + 1 if rounds else 0)
     return (total + timed) * camera.width * camera.height
 
 
@@ -239,6 +239,10 @@ def _own(cure, shots, N, spp, stream):
     return images
 
 
+def _timed_spp(camera):
+    return max(16, 2 * round(0.5 * TIMED / (camera.width * camera.height)))
+
+
 def _times(cures, shots, rounds):
     """Return for each cure the time of an image over that without any cure, and its standard error."""
     pairs = list(dict.fromkeys((c.render, c.tally) for c in cures))
@@ -247,8 +251,9 @@ def _times(cures, shots, rounds):
         kept = []
         for k, (shoot, tally) in enumerate(pairs):
             started = time.perf_counter()
-            halves = [shots(shoot, TIMED // 2, 2 * k + half, [tally])[0] for half in range(2)]
-            kept.append(tuple(halves))
+            parts = 2 if shoot is render else 1
+            spp = _timed_spp(shots.camera) // parts
+            kept.append(tuple(shots(shoot, spp, 2 * k + part, [tally])[0] for part in range(parts)))
             if r:  # the first round compiles
                 sampling[r - 1, k] = time.perf_counter() - started
         for k, c in enumerate(cures):

@@ -95,8 +95,7 @@ def run(folder, settings: Settings = Settings()) -> Path:
     image = _show_clamping(report, reference, tail)
     _show_convergence(report, reference, ladder, image)
     if settings.all:
-        noise = luminance_variance(reference)
-        show_all(report, settings, scene, camera, PATHS, noise, reference, few, calm, calm16, ladder)
+        show_all(report, settings, scene, camera, PATHS, reference, few, calm, calm16, ladder)
     report.values(
         {"seconds of sampling": sampling_seconds, "paths": total, "paths per second": total / sampling_seconds}
     )

@@ -21,8 +21,8 @@ TARGETS = 64  # points of the mirror sphere that a place may see
 BRIGHT, RARE, EXPERIMENTS = 500.0, 1e-3, 4000  # of the thought experiment: a pixel in a thousand is as bright as this
 
 
-def show_all(report, settings, scene, camera, paths, noise, reference, few, calm, calm16, ladder):
-    """Add the figures of the source. ``noise``: variance of each pixel of the reference; ``ladder``: renders by spp."""
+def show_all(report, settings, scene, camera, paths, reference, few, calm, calm16, ladder):
+    """Add the figures of the source; ``ladder``: renders of the mirror box by samples per pixel."""
 
     def shoot(spp, stream, title, **options):
         key, progress = (settings.seed << 8) + stream, title if settings.progress else None
@@ -53,23 +53,21 @@ def show_all(report, settings, scene, camera, paths, noise, reference, few, calm
     report.section("The figures of the source, one by one")
     for name, pictures in figures.items():
         report.figure(plot.images(pictures), name, captions[name])
-    named = {f"{title}": image for pictures in figures.values() for title, image in pictures.items()}
-    _errors(report, reference, noise, {k: v for k, v in named.items() if "sphere" not in k} | {"16 spp": few.mean})
+    cured = {title: x for name in list(figures)[2:] for title, x in figures[name].items()}
+    rows = [_errors("diffuse sphere, 16 spp", calm16.mean, calm)]
+    rows += [_errors(title, x, reference) for title, x in ({"mirror sphere, 16 spp": few.mean} | cured).items()]
+    caption = "Of luminance, against the long render of the same scene, whose noise is taken off. For error bars: "
+    headers = ["image", "mean over the reference's", "MSE of a pixel"]
+    report.table(headers, rows, caption + "`jaxmc study cures mirror-box`.")
+    report.value("images of the source", [dict(zip(("image", "mean", "mse"), row)) for row in rows])
     _shadow(report, scene, camera, reference)
     _random_pixels(report, luminance(calm.mean).ravel(), settings.seed)
 
 
-def _errors(report, reference, noise, images):
-    truth = luminance(reference.mean)
-    rows = [
-        [title, luminance(x).mean() / truth.mean(), convergence.image_error(luminance(x), truth, noise)]
-        for title, x in images.items()
-    ]
-    caption = (
-        "Of luminance, against the reference, whose noise is taken off. `jaxmc study cures mirror-box` has error bars."
-    )
-    report.table(["image", "mean over the reference's", "MSE of a pixel"], rows, caption)
-    report.value("images of the source", [dict(zip(("image", "mean", "mse"), row)) for row in rows])
+def _errors(title, image, reference):
+    truth, noise = luminance(reference.mean), luminance(reference.stderr) ** 2
+    image = luminance(image)
+    return [title, image.mean() / truth.mean(), convergence.image_error(image, truth, noise)]
 
 
 def mirror_seen(scene, camera) -> np.ndarray:
