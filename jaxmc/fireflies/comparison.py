@@ -204,7 +204,7 @@ def _plain(shots, cures, ladder, counts, spp) -> _Plain:
                 whole = merged(results[place[c.name]])
                 found.averages[c.name].append((c.image(Kept((whole,), 0)), numbers(whole.variance).mean()))
         found.means.append(found.averages["none"][-1][0])
-        sums = merged(results[-1] if ladder == tallies[-1] else results[tallies.index(ladder)])
+        sums = merged(results[tallies.index(ladder)])
         found.excess.append(sums.excess.astype(np.float32))
         found.spread.append(((sums.clamped_square - sums.clamped**2) * (part / (part - 1.0))).mean(1))
         for N, sofar in large.items():
