@@ -188,8 +188,9 @@ def test_numbers_carry_their_errors():
     "wrong, message",
     [
         ({"spp": 200}, "multiple of 128"),
-        ({"counts": (6,)}, "8 or more"),
-        ({"spp": 2048, "counts": (80,)}, "multiples"),
+        ({"counts": (6,)}, "from 8 on"),
+        ({"spp": 2048, "counts": (80,)}, "128, 256, 512"),
+        ({"spp": 2048, "counts": (192,)}, "128, 256, 512"),
         ({"clamp": 3.0}, "make a Cure"),
         ({"key": -1}, "key"),
         ({"cures": [average("a"), average("a")]}, "name of its own"),

@@ -1,6 +1,5 @@
 """Every cure of fireflies beside the others, on one scene: what it costs in bias, in energy and in time."""
 
-import time
 from collections import defaultdict
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ from ..transport.materials import luminance
 from .cures import LADDER, Cure, Kept, numbers, standard_cures
 from .measuring import LEAST, Best, Measured, best_clamp, from_averages, from_images
 from .merging import merged
+from .shots import Shots, timed_spp, times
 from .table import Table
 
 COUNTS = (16, 128, 1024, 8192)
@@ -22,7 +22,6 @@ ROUNDS = 32  # independent parts of the reference
 FEW = 16  # images of fewer samples than a part has
 OWN = 8  # images, at most, of a cure that has samples of its own and does not average them
 SHORTER = 4  # cures that average samples of their own get so many times fewer than the reference
-TIMED = 1 << 19  # samples, at least, of a timed image: what a call costs once must not count
 
 
 class Row(NamedTuple):
@@ -78,7 +77,8 @@ def compare(
     Args:
         spp: samples per pixel of the reference, a multiple of 128. Images of N samples are made of it too, so cures
             that do not average are measured for N up to spp / 4.
-        counts: the numbers N of samples per pixel: even, 8 or more, and from spp / 32 on multiples of that.
+        counts: the numbers N of samples per pixel: even, 8 or more, and between spp / 32 and spp / 4 a power of two
+            times spp / 32.
         cures: a list of ``Cure``; None for ``standard_cures``. The unclamped estimator is put first.
         white: radiance shown as white, for the standard cures.
         rounds: how often each cure is timed, in turn with the others; 0: not at all, and times are NaN.
@@ -102,7 +102,7 @@ def compare(
         raise ValueError(f"every cure needs a name of its own, got {[c.name for c in cures]}")
     ladder = ClampLadder(tuple(t * white for t in LADDER), luminance)
     with Progress(progress, _total(cures, counts, spp, rounds, camera)) as bar:
-        shots = _Shots(scene, camera, paths, (int(key) << 16), bar)
+        shots = Shots(scene, camera, paths, (int(key) << 16), bar)
         plain = _plain(shots, [c for c in cures if c.render is render], ladder, counts, spp)
         images, averages = plain.images, plain.averages
         for own in [c for c in cures if c.render is not render]:
@@ -112,7 +112,7 @@ def compare(
                 images[own.name] = {
                     N: _own(own, shots, N, spp, OWN * k) for k, N in enumerate(counts) if _repeats(N, spp) >= LEAST
                 }
-        times = _times(cures, shots, rounds)
+        times = times(cures, shots, rounds)
     shape = camera.height, camera.width
     rows = [_row(c, images, averages, plain.means, counts, times[c.name], shape) for c in cures]
     best = {N: best_clamp(ladder.thresholds, np.array(plain.excess), np.array(plain.spread), N) for N in counts}
@@ -128,8 +128,14 @@ def _checked(counts, spp, paths):
     part = spp // ROUNDS
     if spp % (ROUNDS * SHORTER):
         raise ValueError(f"spp must be a multiple of {ROUNDS * SHORTER}, got {spp}")
-    if not counts or any(N % 2 or N < 8 or (N > part and N % part) for N in counts):
-        raise ValueError(f"counts must be even, 8 or more, and above {part} multiples of that, got {counts}")
+    # An image of some parts must not share any with the reference of another image.
+    odd = [N for N in counts if part < N <= spp // LEAST and (N % part or ROUNDS % (N // part))]
+    if not counts or odd or any(N % 2 or N < 8 for N in counts):
+        several = ", ".join(str(part << k) for k in (1, 2, 3))
+        raise ValueError(
+            f"counts must be even numbers from 8 on, of which those from {part} to {spp // LEAST} are multiples by a "
+            f"power of two, {several}; got {counts}"
+        )
     if wrong := {"clamp", "regularize"} & set(paths):
         raise ValueError(f"{', '.join(wrong)}: the reference has none; make a Cure whose render has it")
     return counts, spp
@@ -146,26 +152,8 @@ def _total(cures, counts, spp, rounds, camera):
     own = [c for c in cures if c.render is not render]
     once = sum(N * min(OWN, _repeats(N, spp)) for N in counts if _repeats(N, spp) >= LEAST)
     total = plain + sum(spp // SHORTER if c.averages else once for c in own)
-    timed = len({(c.render, c.tally) for c in cures}) * _timed_spp(camera) * (rounds + 1 if rounds else 0)
+    timed = len({(c.render, c.tally) for c in cures}) * timed_spp(camera) * (rounds + 1 if rounds else 0)
     return (total + timed) * camera.width * camera.height
-
-
-class _Shots(NamedTuple):
-    """Renders of the scene that is compared, each with a number that makes its seed."""
-
-    scene: object
-    camera: object
-    paths: dict
-    seed: int
-    bar: Progress
-
-    def __call__(self, render, spp, stream, tallies):
-        """Return the result of each tally from ``spp`` samples; a ``Moments`` tally has one leaf."""
-        tallies = {str(k): tally for k, tally in enumerate(tallies)}
-        estimate = render(self.scene, self.camera, spp=spp, key=self.seed + stream, tallies=tallies, **self.paths)
-        self.bar.update(spp * self.camera.width * self.camera.height)
-        results = [estimate[name] for name in tallies]
-        return [r[0] if isinstance(t, Moments) else r for r, t in zip(results, tallies.values())]
 
 
 class _Plain(NamedTuple):
@@ -237,36 +225,6 @@ def _own(cure, shots, N, spp, stream):
         (result,) = shots(cure.render, N, (1 << 14) + stream + r, [cure.tally])
         images.append(np.asarray(cure.image(Kept((result,), shots.camera.width))).ravel())
     return images
-
-
-def _timed_spp(camera):
-    return max(16, 2 * round(0.5 * TIMED / (camera.width * camera.height)))
-
-
-def _times(cures, shots, rounds):
-    """Return for each cure the time of an image over that without any cure, and its standard error."""
-    pairs = list(dict.fromkeys((c.render, c.tally) for c in cures))
-    sampling, making = np.zeros((rounds, len(pairs))), np.zeros((rounds, len(cures)))
-    for r in range(rounds + 1 if rounds else 0):
-        kept = []
-        for k, (shoot, tally) in enumerate(pairs):
-            started = time.perf_counter()
-            parts = 2 if shoot is render else 1
-            spp = _timed_spp(shots.camera) // parts
-            kept.append(tuple(shots(shoot, spp, 2 * k + part, [tally])[0] for part in range(parts)))
-            if r:  # the first round compiles
-                sampling[r - 1, k] = time.perf_counter() - started
-        for k, c in enumerate(cures):
-            started = time.perf_counter()
-            c.image(Kept(kept[pairs.index((c.render, c.tally))], shots.camera.width))
-            if r:
-                making[r - 1, k] = time.perf_counter() - started
-    whole = making + sampling[:, [pairs.index((c.render, c.tally)) for c in cures]]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = whole / whole[:, :1]
-    error = ratio.std(0, ddof=1) / np.sqrt(rounds) if rounds > 1 else np.full(len(cures), np.nan)
-    means = ratio.mean(0) if rounds else np.full(len(cures), np.nan)
-    return {c.name: (float(m), float(e)) for c, m, e in zip(cures, means, error)}
 
 
 def _row(cure, images, averages, means, counts, timed, shape) -> Row:
