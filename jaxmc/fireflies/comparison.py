@@ -112,9 +112,9 @@ def compare(
                 images[own.name] = {
                     N: _own(own, shots, N, spp, OWN * k) for k, N in enumerate(counts) if _repeats(N, spp) >= LEAST
                 }
-        times = times(cures, shots, rounds)
+        timed = times(cures, shots, rounds)
     shape = camera.height, camera.width
-    rows = [_row(c, images, averages, plain.means, counts, times[c.name], shape) for c in cures]
+    rows = [_row(c, images, averages, plain.means, counts, timed[c.name], shape) for c in cures]
     best = {N: best_clamp(ladder.thresholds, np.array(plain.excess), np.array(plain.spread), N) for N in counts}
     return Comparison(rows, best, counts, *_reference(plain.means, shape), spp)
 
