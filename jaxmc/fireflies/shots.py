@@ -10,7 +10,7 @@ from ..integration.work import Progress
 from ..transport.images import render
 from .cures import Kept
 
-TIMED = 1 << 19  # samples, or so, of a timed image: what a call costs once must not count
+TIMED = 1 << 18  # samples, or so, of a timed image: what a call costs once must not count
 
 
 class Shots(NamedTuple):
