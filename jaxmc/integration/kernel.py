@@ -17,7 +17,8 @@ from .. import backend
 from .integrand import SAMPLES
 from .samplers import Index
 
-LANES = 1920  # samples side by side; measured 10 % faster than 960. Of powers of two, arrays compete for the same cache sets
+# Samples side by side; measured 10 % faster than 960. Of powers of two, arrays compete for the same cache sets.
+LANES = 1920
 ROWS = 32
 VECTOR = 64  # a number of lanes that vector code divides evenly
 BLOCK = ROWS * LANES

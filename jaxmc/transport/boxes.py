@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from .derivatives import product, reciprocal
 from .rays import Ray, is_rounding, row_at, sparse_dot
-from .vec import larger, smaller
+from .vec import Vec3, larger, smaller
 
 
 class BoxShape(NamedTuple):
@@ -53,6 +53,18 @@ def _slab(row, offset, ray):
     inverse = reciprocal(speed)
     minus, plus = product(-1.0 - start, inverse), product(1.0 - start, inverse)
     return smaller(plus, minus), larger(plus, minus), speed < 0.0
+
+
+def either(condition, one: BoxShape, other: BoxShape) -> BoxShape:
+    """Return ``one`` where the condition holds, else ``other``."""
+
+    def choose(a, b):
+        return (
+            None if a is None and b is None else jnp.where(condition, 0.0 if a is None else a, 0.0 if b is None else b)
+        )
+
+    rows = tuple(Vec3(*map(choose, a, b)) for a, b in zip(one.rows, other.rows))
+    return BoxShape(rows, tuple(map(choose, one.offsets, other.offsets)))
 
 
 def face_at(box: BoxShape, point):
