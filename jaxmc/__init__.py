@@ -9,6 +9,7 @@ from . import backend
 backend.configure()
 
 from . import analysis as analysis
+from . import fireflies as fireflies
 from .integration.adaptive import ImportanceMap as ImportanceMap
 from .integration.adaptive import adapt as adapt
 from .integration.buckets import Buckets as Buckets
