@@ -178,8 +178,8 @@ def _ladder(levels, probabilities) -> Integrand:
 
 def _count(ladder):
     shapes = jax.eval_shape(lambda u: ladder(u), jax.ShapeDtypeStruct((ladder.dim,), float))
-    counts = {x.shape[0] if x.ndim else None for x in jax.tree.leaves(shapes)}
-    if len(counts) != 1 or None in counts:
+    counts = {x.shape[0] if x.ndim else 0 for x in jax.tree.leaves(shapes)}
+    if len(counts) != 1 or 0 in counts:
         raise ValueError(f"values must have the levels on their first axis, got {jax.tree.leaves(shapes)}")
     return counts.pop()
 

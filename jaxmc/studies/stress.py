@@ -103,6 +103,8 @@ def _collection(name, x64) -> tuple[Any, ...]:
     package, _, attribute = name.partition(":")
     try:
         spec = importlib.util.find_spec(package)
+        if spec is None or spec.loader is None:
+            raise ImportError(package)
         module = importlib.util.module_from_spec(spec)
         with jax.enable_x64(x64):
             spec.loader.exec_module(module)
