@@ -9,6 +9,12 @@ from . import backend
 backend.configure()
 
 from . import analysis as analysis
+from .gradients.check import Finding as Finding
+from .gradients.check import GradCheck as GradCheck
+from .gradients.check import gradcheck as gradcheck
+from .gradients.derivative import Gradient as Gradient
+from .gradients.derivative import WithBoundary as WithBoundary
+from .gradients.derivative import grad_integrate as grad_integrate
 from .integration.adaptive import ImportanceMap as ImportanceMap
 from .integration.adaptive import adapt as adapt
 from .integration.buckets import Buckets as Buckets
