@@ -1,0 +1,113 @@
+"""Direct light at a point, as it moves with the scene: interior and boundary."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..integration.integrand import Integrand
+from ..transport import geometry
+from ..transport.hits import closest_hit, face_at, unoccluded
+from ..transport.lights import black, sample_light
+from ..transport.primitives import as_color, as_unit, as_vec3, is_concrete
+from ..transport.rays import ray
+from ..transport.scene import Scene
+from ..transport.sky import sky_radiance
+from ..transport.strategy import Strategy
+from ..transport.vec import Vec3, dot, frame, larger, where
+from ..transport.warps import sample_cosine_hemisphere
+from .derivative import WithBoundary
+from .flows import Faces, flow, stacked, still, table_of_faces
+from .shadows import ShadowEdges, lamps_of
+from .silhouettes import silhouettes
+
+
+def direct_irradiance(scene: Scene, point, normal, *, pick="uniform", light_points="automatic") -> WithBoundary:
+    """Return the irradiance from lights and sky at a point, with all that its derivative needs.
+
+    The value is that of ``mc.irradiance(..., bounces=0)``. Its derivative in ``mc.grad_integrate`` holds with respect
+    to whatever the scene, ``point`` and ``normal`` are made of: radiances, places, sizes, orientations of lights and
+    of blockers. The interior keeps every sample at its place on the light; the boundary has the silhouettes of
+    spheres, quads, triangles and boxes before lights and sky, each once, so moving shadows are complete.
+
+    What is not covered is said in ``flags``: primitives that pass through each other, edges that overlap in part.
+    Primitives that share an edge count as one surface, and must move together.
+
+    Args:
+        scene: what shines and what stands in the way; materials do not matter.
+        point: three numbers.
+        normal: of the receiver, any length.
+        pick, light_points: as in ``PathOptions``.
+
+    Raises:
+        ValueError: a scene that shines nowhere or is none, or an option out of range.
+    """
+    if not isinstance(scene, Scene):
+        raise ValueError(f"scene must be a Scene, made by mc.Scene([...]), got {scene!r}")
+    primitives, _ = scene.as_given()
+    if not scene.lights and scene.sky is None:
+        raise ValueError("direct_irradiance needs a light or a sky: give a primitive an emission above 0")
+    strategy = Strategy(0, "cosine", "nee", pick, light_points)
+    place = scene.local(as_vec3("point", point)), as_unit("normal", normal)
+    outlines = geometry.build(primitives).outlines
+    faces = table_of_faces(outlines)
+    emission = stacked([_color(scene, primitives[i].emission) for i in scene.owner])
+    words = ["light: first", "light: second"] if scene.lights else []
+    words += ["light: which"] if len(scene.lights) > 1 else []
+    words += ["sky: first", "sky: second"] if scene.sky is not None else []
+    interior = Integrand(_Direct(strategy), len(words), (scene, faces, emission, *place), True, tuple(words))
+    lamps = lamps_of(scene, primitives)
+    found, flags = silhouettes(outlines, scene.owner) if is_concrete(outlines) else (None, ())
+    if found is not None and not (found.edges or found.spheres):
+        return WithBoundary(interior, None, flags)
+    around = (faces, emission, scene.sky, *place)
+    boundary = Integrand(_AtReceiver(ShadowEdges(found, lamps)), 1, (scene, *around), True, ("edge",))
+    return WithBoundary(interior, boundary, flags)
+
+
+def _color(scene, emission):
+    rgb = as_color("emission", 0.0 if emission is None else emission)
+    return rgb[0] if scene.channels == 1 else Vec3(*rgb)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Direct:
+    """Light sampled with the scene at rest, and evaluated again with the scene in motion."""
+
+    strategy: Strategy
+
+    def __call__(self, u, scene, faces: Faces, emission, point, normal):
+        rest, x, n = still(scene), still(point), still(normal)
+        own = face_at(rest, x)
+        total, k = black(scene), 0
+        if scene.lights:
+            k = 2 if len(scene.lights) == 1 else 3
+            light, _, face = sample_light(rest, self.strategy, x, n, own, u[0], u[1], u[2] if k == 3 else 0.0)
+            toward = ray(x, light.wi)
+            seen = unoccluded(rest, toward, light.distance, own, face, anywhere=True)
+            wi, ratio = flow(faces.at(face), point, light.wi, light.distance)
+            cosine = dot(normal, wi)
+            matters = seen & (light.inverse_pdf > 0.0) & (still(cosine) > 0.0)
+            weight = jnp.where(matters, still(light.inverse_pdf), 0.0) * larger(cosine, 0.0) * ratio
+            total = jax.tree.map(lambda e: jnp.asarray(e)[face], emission) * weight
+        if scene.sky is not None:
+            local = sample_cosine_hemisphere(u[k], u[k + 1])
+            tangent, bitangent = frame(n)
+            wi = tangent * local.x + bitangent * local.y + n * local.z
+            free = closest_hit(rest, ray(x, wi), own).face < 0
+            weight = jnp.where(free, dot(normal, wi) * (np.pi / local.z), 0.0)
+            total = total + where(free, sky_radiance(scene.sky, wi) * weight, black(scene))
+        return jnp.stack(total) if isinstance(total, Vec3) else total
+
+
+@dataclasses.dataclass(frozen=True)
+class _AtReceiver:
+    """The boundary of a receiver, which may lie on a face."""
+
+    edges: ShadowEdges
+
+    def __call__(self, u, scene, faces, emission, sky, point, normal: Any):
+        own = face_at(still(scene), still(point))
+        return self.edges(u, faces, emission, sky, point, normal, own)
