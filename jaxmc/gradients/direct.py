@@ -19,7 +19,7 @@ from ..transport.strategy import Strategy
 from ..transport.vec import Vec3, dot, frame, larger, where
 from ..transport.warps import sample_cosine_hemisphere
 from .derivative import WithBoundary
-from .flows import Faces, flow, stacked, still, table_of_faces
+from .flows import Faces, flow, one_of, stacked, still, table_of_faces
 from .shadows import ShadowEdges, lamps_of
 from .silhouettes import silhouettes
 
@@ -91,7 +91,7 @@ class _Direct:
             cosine = dot(normal, wi)
             matters = seen & (light.inverse_pdf > 0.0) & (still(cosine) > 0.0)
             weight = jnp.where(matters, still(light.inverse_pdf), 0.0) * larger(cosine, 0.0) * ratio
-            total = jax.tree.map(lambda e: jnp.asarray(e)[face], emission) * weight
+            total = one_of(emission, face) * weight
         if scene.sky is not None:
             local = sample_cosine_hemisphere(u[k], u[k + 1])
             tangent, bitangent = frame(n)

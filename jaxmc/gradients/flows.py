@@ -28,8 +28,19 @@ class Faces(NamedTuple):
     radius: Any
 
     def at(self, face):
-        """Return the numbers of one face, or of an array of them."""
-        return jax.tree.map(lambda x: jnp.asarray(x)[face], self)
+        """Return the numbers of one face, or of a fixed array of them."""
+        return one_of(self, face)
+
+
+def one_of(tree, index):
+    """Return row ``index`` of every array in a tree; ``index`` may also be an array of known integers.
+
+    A traced index compares with all of them: the derivative of a gather is a scatter, which is slow, and which XLA:CPU
+    of jaxlib 0.10.2 fails to compile in some loops.
+    """
+    if is_concrete(index):
+        return jax.tree.map(lambda x: x[index], tree)
+    return jax.tree.map(lambda x: jnp.sum(jnp.where(jnp.arange(len(x)) == index, x, 0.0)), tree)
 
 
 def table_of_faces(outlines) -> Faces:

@@ -11,7 +11,7 @@ import numpy as np
 from ..transport.sky import sky_radiance
 from ..transport.vec import Vec3, cross, dot, larger, where
 from .arcs import edge_arcs, ends_of, rim_arcs, view_edges, view_rims
-from .flows import Faces, flow, motion, still
+from .flows import Faces, flow, motion, one_of, still
 from .silhouettes import Silhouettes
 
 SKY = -1
@@ -128,7 +128,7 @@ class ShadowEdges:
             side, along = cross(e.normal, wi), e.to_stop - e.to_start
             slope = dot(along, side)
             t = -dot(e.to_start, side) / jnp.where(slope != 0.0, slope, 1.0)
-            start, stop = (jax.tree.map(lambda a: a[i], end) for end in ends_of(self.found, faces))
+            start, stop = (one_of(end, i) for end in ends_of(self.found, faces))
             distance = dot(e.to_start + along * t, wi)
             places.append(Place(wi, distance, e.normal, start + (stop - start) * still(t)))
         if rims is not None:
@@ -172,7 +172,7 @@ def _or_nearby(is_used, moving, fixed):
 
 
 def _radiance(emission, sky, target, is_sky, wi):
-    light = jax.tree.map(lambda e: jnp.asarray(e)[target], emission)
+    light = one_of(emission, target)
     if sky is None:
         return light
     return where(is_sky, sky_radiance(sky, wi), light)

@@ -1,0 +1,242 @@
+"""Derivatives of direct light against closed forms: moving lights, blockers and receivers, and their shadows."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import analytic_scenes
+import jaxmc as mc
+from analytic_scenes import moving
+
+BLACK = mc.Diffuse(0.0)
+UP = (0.0, 0.0, 1.0)
+FAMILIES = {family.name: family for family in moving.FAMILIES}
+
+
+def quad(corner, edge_u, edge_v, emission=None):
+    return mc.Quad(corner, edge_u, edge_v, BLACK, emission=emission)
+
+
+def ball(center, radius, emission=None):
+    return mc.Sphere(center, radius, BLACK, emission=emission)
+
+
+def at_origin(*primitives, sky=None, point=(0.0, 0.0, 0.0), normal=UP):
+    return mc.direct_irradiance(mc.Scene(primitives, sky), point, normal)
+
+
+# ----------------------------------------------------------------------------- scenes of the closed forms, in motion
+
+
+def sphere_light(p):
+    return at_origin(ball([p["offset"], 0.0, p["height"]], p["radius"], p["emission"]))
+
+
+def corner_rectangle(p):
+    return at_origin(quad([0.0, 0.0, p["height"]], [0.0, p["depth"], 0.0], [p["width"], 0.0, 0.0], p["emission"]))
+
+
+def half_plane(p):
+    a, b, s = p["half_width"], p["half_depth"], p["edge"]
+    light = quad([-a, -b, p["height"]], [0.0, 2.0 * b, 0.0], [2.0 * a, 0.0, 0.0], p["emission"])
+    blocker = quad([s - 5.0, -5.0, p["blocker_height"]], [5.0, 0.0, 0.0], [0.0, 10.0, 0.0])
+    return at_origin(light, blocker, point=[0.0, 0.0, p["receiver"]])
+
+
+def annular_eclipse(p):
+    light = ball([0.0, 0.0, p["light_height"]], p["light_radius"], p["emission"])
+    return at_origin(light, ball([p["blocker_offset"], 0.0, p["blocker_height"]], p["blocker_radius"]))
+
+
+def sphere_under_sky(p):
+    sine, cosine = jnp.sin(p["theta"]), jnp.cos(p["theta"])
+    return at_origin(ball([p["distance"] * sine, 0.0, p["distance"] * cosine], p["radius"]), sky=p["sky"])
+
+
+IN_MOTION = {
+    "sphere light": sphere_light,
+    "rectangle over its corner": corner_rectangle,
+    "shadow of a half plane": half_plane,
+    "annular eclipse": annular_eclipse,
+    "sphere under the sky": sphere_under_sky,
+}
+
+
+def rectangle_behind_rectangle(p):
+    light = quad(p["corner"], p["edge_u"], p["edge_v"], p["emission"])
+    return at_origin(light, quad(p["blocker_corner"], p["blocker_edge_u"], p["blocker_edge_v"]))
+
+
+def sphere_behind_rectangle(p):
+    light = ball(p["center"], p["radius"], p["emission"])
+    return at_origin(light, quad(p["blocker_corner"], p["blocker_edge_u"], p["blocker_edge_v"]))
+
+
+def rectangle_behind_sphere(p):
+    light = quad(p["corner"], p["edge_u"], p["edge_v"], p["emission"])
+    return at_origin(light, ball(p["blocker_center"], p["blocker_radius"]))
+
+
+def sphere_behind_sphere(p):
+    light = ball(p["center"], p["radius"], p["emission"])
+    return at_origin(light, ball(p["blocker_center"], p["blocker_radius"]))
+
+
+GENERAL = [rectangle_behind_rectangle, sphere_behind_rectangle, rectangle_behind_sphere, sphere_behind_sphere]
+
+
+def check(found, exact, norm_share, name=""):
+    """Each component within 4 standard errors (of 16 replicates), which are below a share of the largest one."""
+    largest = max(np.max(np.abs(x)) for x in exact.values())
+    for key, truth in exact.items():
+        mean, error = np.asarray(found.mean[key]), np.asarray(found.stderr[key])
+        assert np.all(error <= norm_share * np.maximum(np.abs(truth), 0.1 * largest)), (name, key, error, truth)
+        off = np.abs(mean - truth)
+        assert np.all(off <= 6.0 * error + 1e-5 * largest), (name, key, mean, truth, error)
+
+
+def run(make, arguments, n=1 << 15, boundary_n=1 << 13):
+    return mc.grad_integrate(make, dict(arguments), n=n, boundary_n=boundary_n, sampler=mc.Sobol())
+
+
+def test_a_receiver_under_a_static_blocker():
+    family = FAMILIES["shadow of a half plane"]
+    found = run(half_plane, family.arguments)
+    check(found, family.derivatives, 0.01)
+    # The case in which automatic differentiation alone is 21 times too large.
+    assert found.mean["receiver"] == pytest.approx(0.009892154832588, abs=6 * found.stderr["receiver"])
+    assert found.stderr["receiver"] < 0.01 * 0.0099
+    assert found.interior.mean["receiver"] == pytest.approx(0.211127960926, rel=1e-3)
+    assert found.boundary.mean["receiver"] == pytest.approx(-0.201235806094, rel=1e-3)
+    for key in ("edge", "blocker_height"):
+        assert found.interior.mean[key] == 0.0
+    # The value of the boundary is exactly 0, that of the interior the irradiance.
+    made = half_plane(family.arguments)
+    assert mc.integrate(made.boundary, n=1000).mean == 0.0 == mc.integrate(made.boundary, n=1000).variance
+    assert mc.integrate(made.interior, n=1 << 15, sampler=mc.Sobol()).mean == pytest.approx(family.exact, rel=2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in IN_MOTION if name != "shadow of a half plane"])
+def test_every_closed_form(name):
+    found = run(IN_MOTION[name], FAMILIES[name].arguments, n=1 << 18)
+    check(found, FAMILIES[name].derivatives, 0.01, name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", GENERAL, ids=lambda make: make.__name__)
+def test_shadows_in_general_position(make):
+    scene = getattr(analytic_scenes, make.__name__)()
+    arguments = {k: v for k, v in scene.arguments.items() if k != "normal"}
+    found = run(make, arguments, n=1 << 18, boundary_n=1 << 14)
+    check(found, {k: scene.derivatives[k] for k in arguments}, 0.01, make.__name__)
+
+
+# --------------------------------------------------------------------------------------- what holds in every scene
+
+
+LIGHTS = {
+    "lamp": [0.2, -0.4, 2.5],
+    "orb": [-0.9, 0.3, 2.0],
+    "crate": [0.35, 0.1, 1.1],
+    "sheet": [-0.4, -0.2, 1.0],
+    "point": [0.0, 0.1, 0.0],
+}
+
+
+def room(p):
+    """Two lights, a turned box, a triangle and a sky, all at places of their own."""
+    lamp, orb, crate, sheet, point = (jnp.asarray(p[key]) for key in ("lamp", "orb", "crate", "sheet", "point"))
+    c, s = np.cos(0.5), np.sin(0.5)
+    primitives = [
+        quad(lamp, [0.0, 0.9, 0.1], [1.1, 0.0, 0.0], 4.0),
+        ball(orb, 0.35, 6.0),
+        mc.Box(crate, [0.5, 0.4, 0.6], [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]], BLACK),
+        mc.Triangle(sheet, sheet + jnp.array([0.6, 0.1, 0.2]), sheet + jnp.array([-0.1, 0.7, 0.1]), BLACK),
+    ]
+    return at_origin(*primitives, sky=1.5, point=point, normal=(0.1, -0.2, 1.0))
+
+
+def moved(p):
+    """The same with everything shifted together."""
+    return room({key: jnp.asarray(value) + p for key, value in LIGHTS.items()})
+
+
+@pytest.mark.slow
+def test_moving_everything_changes_nothing():
+    found = mc.draw(_boundary_of_motion(), n=4096)
+    size = np.abs(mc.draw(_boundary_of_lamp(), n=4096).value).max()
+    assert size > 0.1
+    assert np.abs(found.value).max() < 2e-5 * size
+
+
+def _boundary_of_motion():
+    from jaxmc.gradients.derivative import derivatives
+
+    return derivatives(moved, jnp.zeros(3)).boundary
+
+
+def _boundary_of_lamp():
+    from jaxmc.gradients.derivative import derivatives
+
+    return derivatives(lambda x: room(LIGHTS | {"crate": x}), jnp.asarray(LIGHTS["crate"])).boundary
+
+
+@pytest.mark.slow
+def test_a_whole_scene_against_differences():
+    report = mc.gradcheck(room, LIGHTS, n=1 << 20, boundary_n=1 << 17, tolerance=0.05, steps=(0.03, 0.01, 0.003))
+    assert report.verdict == "consistent", report
+    plain = mc.gradcheck(lambda p: room(p).interior, LIGHTS, n=1 << 20, steps=(0.03, 0.01, 0.003))
+    assert plain.verdict == "biased"
+    crate = [f for f in plain.findings if "crate" in f.name]
+    assert all(f.gradient == 0.0 and f.jumps for f in crate)
+
+
+def sheet_in_parts(parts, width):
+    """A blocker divided into strips that share edges."""
+    light = quad([-1.0, -0.8, 3.0], [0.0, 1.6, 0.0], [2.0, 0.0, 0.0], 5.0)
+    strips = [
+        quad([-0.5 + width * k / parts, -0.3, 1.2], [width / parts, 0.0, 0.0], [0.0, 0.5, 0.0]) for k in range(parts)
+    ]
+    return at_origin(light, *strips)
+
+
+@pytest.mark.slow
+def test_shared_edges_count_once():
+    one, three = (
+        mc.grad_integrate(lambda w, k=k: sheet_in_parts(k, w), 0.7, n=64, boundary_n=1 << 13, sampler=mc.Sobol())
+        for k in (1, 3)
+    )
+    assert one.boundary.mean < -0.1
+    assert three.boundary.mean == pytest.approx(
+        one.boundary.mean, abs=8 * (one.boundary.stderr + three.boundary.stderr)
+    )
+    assert three.boundary.stderr < 0.01 * abs(one.boundary.mean)
+
+
+def test_what_is_not_covered_is_said():
+    light = quad([-1.0, -1.0, 3.0], [0.0, 2.0, 0.0], [2.0, 0.0, 0.0], 5.0)
+    assert at_origin(light, ball((0.0, 0.0, 1.0), 0.3), ball((1.0, 0.0, 1.0), 0.3)).flags == ()
+    assert at_origin(light, mc.Box((0.0, 0.0, 1.0), (1.0, 1.0, 1.0))).flags == ()
+    crossing = at_origin(light, ball((0.0, 0.0, 1.0), 0.3), ball((0.4, 0.0, 1.0), 0.3)).flags
+    assert len(crossing) == 1 and "pass through each other (1 and 2)" in crossing[0]
+    sheet = quad([-0.5, -0.5, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    assert "pass through" in at_origin(light, sheet, ball((0.0, 0.0, 1.1), 0.3)).flags[0]
+    upright = quad([0.0, -0.2, 0.5], [0.0, 0.4, 0.0], [0.0, 0.0, 1.0])
+    assert "pass through" in at_origin(light, sheet, upright).flags[0]
+    beside = quad([0.5, -0.2, 1.0], [0.5, 0.0, 0.0], [0.0, 0.4, 0.0])
+    found = mc.grad_integrate(lambda e: at_origin(quad([-1.0, -1.0, 3.0], [0.0, 2.0, 0.0], [2.0, 0.0, 0.0], e),
+                                                  sheet, beside), 1.0, n=64)  # fmt: skip
+    assert "overlap" in found.flags[0] and "not covered: edges overlap" in str(found)
+
+
+def test_mistakes_are_named():
+    with pytest.raises(ValueError, match="needs a light"):
+        at_origin(ball((0.0, 0.0, 2.0), 0.5))
+    with pytest.raises(ValueError, match="Scene"):
+        mc.direct_irradiance([], (0, 0, 0), UP)
+    with pytest.raises(ValueError, match=r"mc\.grad_integrate"):
+        jax.grad(
+            lambda s: half_plane(FAMILIES["shadow of a half plane"].arguments | {"edge": s}).boundary(jnp.ones(1))
+        )(0.2)
