@@ -39,8 +39,15 @@ def doubled_edge(a):
     return mc.WithBoundary(jump(a), mc.Integrand(lambda u, a: 2.0 * edge(u, a), 1, (a,)))
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
-@pytest.mark.parametrize("sampler", [mc.Independent(), mc.Sobol(), mc.Lattice()])
+@pytest.mark.parametrize(
+    "sampler, mode",
+    [
+        (mc.Sobol(), "forward"),
+        (mc.Independent(), "reverse"),
+        pytest.param(mc.Lattice(), "forward", marks=pytest.mark.slow),
+        pytest.param(mc.Lattice(), "reverse", marks=pytest.mark.slow),
+    ],
+)
 def test_derivatives_of_a_smooth_integral(mode, sampler):
     found = mc.grad_integrate(smooth, PARAMS, n=1 << 16, mode=mode, sampler=sampler)
     exact = jax.grad(smooth_exact)(PARAMS)
@@ -51,6 +58,7 @@ def test_derivatives_of_a_smooth_integral(mode, sampler):
     assert found.status == "complete" and found.boundary is None
 
 
+@pytest.mark.slow
 def test_values_and_parameters_of_any_shape():
     def make(m):
         return mc.Integrand(lambda u: jnp.stack([m[0, 0] * u[0], m[1, 2] ** 2 * u[1], 1.0]), 2)
@@ -77,6 +85,7 @@ def test_tallies_and_error_bars_of_both_parts():
     assert "boundary" in str(found)
 
 
+@pytest.mark.slow
 def test_gradcheck_of_a_sound_gradient():
     report = mc.gradcheck(smooth, PARAMS, n=1 << 14)
     assert report.verdict == "consistent", report
@@ -99,10 +108,12 @@ def test_gradcheck_finds_what_moves():
     assert mc.gradcheck(doubled_edge, 0.4, n=1 << 18)[0].verdict == "biased"
 
 
+@pytest.mark.slow
 def test_gradcheck_says_when_it_cannot_tell():
     assert mc.gradcheck(jump_and_edge, 0.4, n=1 << 9).verdict == "inconclusive"
 
 
+@pytest.mark.slow
 def test_gradcheck_finds_a_smooth_dependence_that_is_left_out():
     def half(a):
         return mc.Integrand(lambda u: a * jax.lax.stop_gradient(a) * u[0], 1)
@@ -112,6 +123,7 @@ def test_gradcheck_finds_a_smooth_dependence_that_is_left_out():
     assert found.bias == pytest.approx(-0.35, rel=0.05)
 
 
+@pytest.mark.slow
 def test_gradcheck_does_not_take_curvature_for_bias():
     def cubic(a):
         return mc.Integrand(lambda u: jnp.exp(8.0 * a) * (1.0 + 1e-4 * u[0]), 1)
@@ -137,6 +149,7 @@ def test_gradcheck_of_functions_outside_of_jax():
     assert found.verdict == "consistent" and found["['a']"].jumps
 
 
+@pytest.mark.slow
 def test_gradcheck_reports_what_is_not_finite():
     def root(a):
         return mc.Integrand(lambda u: jnp.sqrt(jnp.maximum(a - 1.0, 0.0)) + u[0], 1)
