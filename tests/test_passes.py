@@ -16,8 +16,8 @@ def test_passes_double_and_then_add_an_eighth():
         starts, stops = [p[1] for p in pieces], [p[2] for p in pieces]
         assert starts == [0, *stops[:-1]] and stops[-1] == spp
         sizes = np.subtract(stops, starts)
-        assert (sizes <= np.maximum(np.maximum(starts, 64), 1)).all()
-    assert sizes[:9].tolist() == [1, 1, 2, 4, 8, 16, 32, 64, 64] and len(sizes) < 80
+        assert (sizes <= np.maximum(np.maximum(starts, 32), 1)).all()
+    assert sizes[:9].tolist() == [1, 1, 2, 4, 8, 16, 32, 32, 32] and len(sizes) < 80
 
 
 def test_replicates_come_one_by_one():

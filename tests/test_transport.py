@@ -15,6 +15,7 @@ from jaxmc import scenes
 from jaxmc.testing import assert_unbiased
 from jaxmc.transport import bsdfs, paths, rays, shapes, spheres, vec, warps
 from jaxmc.transport.lights import sample_light
+from jaxmc.transport.strategy import Strategy
 from jaxmc.transport.vec import Vec3
 
 X64 = jax.config.jax_enable_x64
@@ -224,10 +225,10 @@ def light_samples(primitive, point, n=200_000):
     @jax.jit
     @jax.vmap
     def draw(u1, u2):
-        drawn, _, _ = sample_light(scene, "uniform", origin, None, -1, u1, u2, None)
+        drawn, _, _ = sample_light(scene, Strategy(1), origin, None, -1, u1, u2, None)
         ray = rays.ray(origin, drawn.wi)
         found = paths.closest_hit(scene, ray)
-        return drawn, found.distance, shapes.inverse_pdf(light, origin, drawn.wi, drawn.distance)
+        return drawn, found.distance, shapes.inverse_pdf(light, origin, drawn.wi, drawn.distance, "automatic")
 
     drawn, distance, inverse_pdf = draw(*np.random.default_rng(4).uniform(size=(2, n)))
     wi = np.stack(drawn.wi, -1).astype(np.float64)

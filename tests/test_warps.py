@@ -78,11 +78,11 @@ def light_by_solid_angle(primitive, domain=SPHERE, point=POINT):
 
     def pdf(w):
         found = hits.closest_hit(scene, rays.ray(point, w))
-        inverse = shapes.inverse_pdf(light, point, w, found.distance)
+        inverse = shapes.inverse_pdf(light, point, w, found.distance, "automatic")
         hit = jnp.isfinite(found.distance) & (inverse > 0.0)
         return jnp.where(hit, 1.0 / jnp.where(hit, inverse, 1.0), 0.0)
 
-    return lambda u: shapes.sample_light(light, point, False, u[0], u[1]).wi, pdf, domain
+    return lambda u: shapes.sample_light(light, point, False, u[0], u[1], "automatic").wi, pdf, domain
 
 
 def sphere_light(radius, distance):

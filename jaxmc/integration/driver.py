@@ -24,7 +24,7 @@ from .samplers import Independent, index_words, seed_words
 from .work import Progress, ordered_map
 
 REPLICATES = 16  # of a single integral
-SMALL, MOST_BLOCKS = 8, 16  # replicates of so few rows go together in one kernel call
+SMALL, SMALL_LANES, MOST_BLOCKS = 8, 480, 16  # replicates of so few rows go together in one kernel call
 REPLICATES_EACH = 4  # of each of a family: few samples are better not divided further
 
 
@@ -62,10 +62,10 @@ def integrate(
     target = stopping.target(n, rtol, atol, max_n, max_seconds)
     n = n if n is None else positive("n", n)
     replicates = _replicates(replicates, sampler, REPLICATES)
-    blocks, rows = blocks_of(chunk), ROWS
-    if n is not None and replicates and n // replicates < SMALL * LANES:
-        blocks, rows = max(blocks, min(replicates, MOST_BLOCKS)), SMALL
-    run = Run(integrand, key, sampler, replicates, tallies, workers, blocks, rows)
+    blocks, rows, lanes = blocks_of(chunk), ROWS, LANES
+    if n is not None and replicates and n // replicates < SMALL * SMALL_LANES:
+        blocks, rows, lanes = max(blocks, min(replicates, MOST_BLOCKS)), SMALL, SMALL_LANES
+    run = Run(integrand, key, sampler, replicates, tallies, workers, blocks, rows, lanes=lanes)
     if n is not None:
         with Progress(progress, run.total(n)) as bar:
             return run.stream(n, bar)
@@ -136,7 +136,7 @@ class Run:
 
     def __init__(
         self, integrand, key, sampler, replicates, tallies, workers, blocks, rows=ROWS, kept=Moments(), items=None,
-        lanes=None,
+        lanes=LANES,
     ):  # fmt: skip
         backend.check_arithmetic()
         if "moments" in (tallies or {}):
@@ -168,7 +168,9 @@ class Run:
         drawn afresh. None if that took longer than ``deadline`` on the clock; independent samples are cut short then.
         """
         points = self.points(n)
-        complete = self._add(stream_jobs(self._ranges(points), self.blocks, self.rows), points, bar, deadline)
+        complete = self._add(
+            stream_jobs(self._ranges(points), self.blocks, self.rows, self.lanes), points, bar, deadline
+        )
         return self._estimate(points) if complete or self.replicates is None else None
 
     def family(self, n, bar) -> Estimate:
@@ -193,7 +195,7 @@ class Run:
             raise ValueError("the integrands of all passes must be alike but for the values of their params")
         self.integrand, ranges = jax.tree.map(_as_array, integrand), [(0, start, stop)]
         each = item_jobs(ranges, self.items, self.blocks, self.lanes, True) if self.items else None
-        self._add(each or stream_jobs(ranges, self.blocks, self.rows), stop, bar)
+        self._add(each or stream_jobs(ranges, self.blocks, self.rows, self.lanes), stop, bar)
         return self._estimate(stop)
 
     def _ranges(self, points):

@@ -19,7 +19,7 @@ def integrate_each_in_passes(
     """Return an iterator over estimates of a family of integrals from more and more of its samples.
 
     Each pass adds samples that no other has; the last estimate is that of ``integrate_each``, to rounding. Samples of
-    each integral come in passes of 1, 1, 2, 4 and so on up to 64, then an eighth of what is there; where there are
+    each integral come in passes of 1, 1, 2, 4 and so on up to 32, then an eighth of what is there; where there are
     replicates, by whole replicates, one after the other. Arguments and errors as in ``integrate_each``.
     """
     n, run = positive("n", n), family_run(f, items, key, sampler, replicates, tallies, workers, chunk, kept)

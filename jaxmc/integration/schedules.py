@@ -18,7 +18,7 @@ def integrate_progressively(
 ) -> Iterator[Estimate]:  # fmt: skip
     """Return an iterator over estimates from more and more samples, of an integrand that may change with their number.
 
-    Samples come in passes, of 1, 1, 2, 4 and so on up to 64, then an eighth of what is there. ``make(i)`` returns the
+    Samples come in passes, of 1, 1, 2, 4 and so on up to 32, then an eighth of what is there. ``make(i)`` returns the
     integrand of a pass whose samples, counted from 1, have the numbers around i. All that it returns must differ in the
     values of ``params`` only, so that one kernel runs them all. An estimate is the plain mean of all samples so far: a
     sample's value depends on its index alone, as ever, and passes over disjoint parts of the samples add up. Its

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from .derivatives import product, reciprocal
 from .rays import Ray, is_rounding, row_at, sparse_dot
-from .vec import larger, smaller
+from .vec import Vec3, larger, smaller
 
 
 class BoxShape(NamedTuple):
@@ -29,19 +29,21 @@ def intersect(box: BoxShape, ray: Ray, own) -> tuple[Any, Any]:
     Source: the slabs of Kay and Kajiya 1986.
     """
     slabs = [_slab(row, offset, ray) for row, offset in zip(box.rows, box.offsets)]
+    lows, highs, backward = zip(*slabs)
+    near, far = larger(larger(lows[0], lows[1]), lows[2]), smaller(smaller(highs[0], highs[1]), highs[2])
     inward = outward = False
-    near, far = -jnp.inf, jnp.inf
-    entry = exit = 0
-    for k, (low, high, backward) in enumerate(slabs):
-        front, back = jnp.where(backward, 2 * k + 1, 2 * k), jnp.where(backward, 2 * k, 2 * k + 1)
-        inward, outward = inward | (own == front), outward | (own == back)
-        near, entry = jnp.where(low > near, low, near), jnp.where(low > near, front, entry)
-        far, exit = jnp.where(high < far, high, far), jnp.where(high < far, back, exit)
-    outside = (near > 0.0) & ~inward
+    for k in range(3):
+        front = jnp.where(backward[k], 2 * k + 1, 2 * k)
+        inward, outward = inward | (own == front), outward | (own == 4 * k + 1 - front)
+    outside = (near > 0.0) & jnp.logical_not(inward)
     # A ray that goes inward cannot miss, even where rounding has put its start beyond an edge.
-    hit = inward | ((near <= far) & (far > 0.0) & ~outward)
-    distance = jnp.where(outside, near, larger(far, 0.0))
-    return jnp.where(hit, distance, jnp.inf), jnp.where(outside, entry, exit)
+    hit = inward | ((near <= far) & (far > 0.0) & jnp.logical_not(outward))
+    met = jnp.where(outside, near, far)
+    face = 0
+    for k in range(3):
+        face_k = jnp.where(outside == backward[k], 2 * k + 1, 2 * k)
+        face = face_k if k == 0 else jnp.where(jnp.where(outside, lows[k], highs[k]) == met, face_k, face)
+    return jnp.where(hit, larger(met, 0.0), jnp.inf), face
 
 
 def _slab(row, offset, ray):
@@ -51,6 +53,18 @@ def _slab(row, offset, ray):
     inverse = reciprocal(speed)
     minus, plus = product(-1.0 - start, inverse), product(1.0 - start, inverse)
     return smaller(plus, minus), larger(plus, minus), speed < 0.0
+
+
+def either(condition, one: BoxShape, other: BoxShape) -> BoxShape:
+    """Return ``one`` where the condition holds, else ``other``."""
+
+    def choose(a, b):
+        return (
+            None if a is None and b is None else jnp.where(condition, 0.0 if a is None else a, 0.0 if b is None else b)
+        )
+
+    rows = tuple(Vec3(*map(choose, a, b)) for a, b in zip(one.rows, other.rows))
+    return BoxShape(rows, tuple(map(choose, one.offsets, other.offsets)))
 
 
 def face_at(box: BoxShape, point):

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from . import shape_tables, shapes
+from . import boxes, shape_tables, shapes
 from .boxes import BoxShape
 from .derivatives import root
 from .primitives import is_concrete
@@ -37,7 +37,11 @@ class Surface(NamedTuple):
 
 def closest_hit(scene: Scene, ray: Ray, own=-1) -> Hit:
     """Return the closest hit of one ray that starts on face ``own`` (-1: on none)."""
-    found = [shapes.intersect(s, i, ray, own, scene.is_same(own, i)) for i, s in zip(scene.first, scene.shapes)]
+    found = []
+    for i, s in zip(scene.first, scene.shapes):
+        distance, face = shapes.intersect(s, i, ray, own, scene.is_same(own, i))
+        # Of a box ask for the face only where it is the closest.
+        found.append((distance, i if isinstance(s, BoxShape) else face))
     distance, face = jnp.inf, -1
     if found:
         # Keep all distances, then compare: two wide kernels instead of a chain of masks.
@@ -46,10 +50,25 @@ def closest_hit(scene: Scene, ray: Ray, own=-1) -> Hit:
             distance = smaller(distance, other)
         for other, its_face in others:
             face = jnp.where(other == distance, its_face, face)
+        face = _face_of_box(scene, ray, own, face)
     for table in scene.tables:
         best = jnp.asarray(distance, float), jnp.asarray(face, jnp.int32)
         distance, face = shape_tables.nearest(table, ray, own, scene.plane_of(own), best)
     return Hit(distance, jnp.where(distance < jnp.inf, face, -1)) if found or scene.tables else Hit(jnp.inf, -1)
+
+
+def _face_of_box(scene, ray, own, face):
+    """Return the face that a ray has met, where ``face`` is the first one of a box; else ``face``."""
+    found = [(i, s) for i, s in zip(scene.first, scene.shapes) if isinstance(s, BoxShape)]
+    if not found:
+        return face
+    (first, box), *others = found
+    is_box = face == first
+    for i, other in others:
+        is_other = face == i
+        box = boxes.either(is_other, other, box)
+        first, is_box = jnp.where(is_other, i, first), is_box | is_other
+    return jnp.where(is_box, first + boxes.intersect(box, ray, own - first)[1], face)
 
 
 def approach(scene: Scene, ray: Ray) -> tuple[Ray, Any]:

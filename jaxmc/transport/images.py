@@ -64,7 +64,7 @@ def render_progressively(
 ) -> Iterator[Estimate]:  # fmt: skip
     """Render an image in passes: return an iterator over estimates, the last of which is that of ``render``.
 
-    Independent samples come in passes of 1, 1, 2, 4 and so on up to 64 for each pixel, then an eighth of what is there;
+    Independent samples come in passes of 1, 1, 2, 4 and so on up to 32 for each pixel, then an eighth of what is there;
     those of other samplers by whole randomisations, 4 by default. Passes are disjoint parts of the samples of
     ``render``: each of the estimates is unbiased and has its own error, NaN while there is but one sample or replicate.
     To stop earlier, leave the loop. Arguments, values and errors as in ``render``.

@@ -24,6 +24,8 @@ from .sky import sample_sky, sky_inverse_pdf, sky_radiance
 from .strategy import POLAR, THROUGHPUT, Strategy
 from .vec import Vec3, dot, larger, smaller, where
 
+FEW = 12  # faces, above which the closest one is found apart: twice as fast for 18, no gain for 9
+
 
 class Gained(NamedTuple):
     """What one scattering event added to the radiance: by what was sampled, and by what the next ray met."""
@@ -135,7 +137,8 @@ def scatter(
         survives, inverse = _roulette(strategy.roulette, beta, vertex.kinds, event, u[toward + 2])
         alive, beta = alive & survives, beta * inverse
     onward = ray(surface.point, wi)
-    hit = closest_hit(scene, onward, surface.face)
+    meet = partial(closest_hit, scene)
+    hit = apart(scene, meet, onward, surface.face) if scene.size > FEW else meet(onward, surface.face)
     if scene.sky is not None:
         sky = limited(beta * _sky_met(scene, strategy, wi, pdf, surface.normal, specular))
         met = where(alive & (hit.face < 0), sky, black(scene))
