@@ -16,6 +16,7 @@ from .gradients.derivative import Gradient as Gradient
 from .gradients.derivative import WithBoundary as WithBoundary
 from .gradients.derivative import grad_integrate as grad_integrate
 from .gradients.direct import direct_irradiance as direct_irradiance
+from .gradients.direct import mean_direct_irradiance as mean_direct_irradiance
 from .integration.adaptive import ImportanceMap as ImportanceMap
 from .integration.adaptive import adapt as adapt
 from .integration.buckets import Buckets as Buckets

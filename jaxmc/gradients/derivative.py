@@ -178,7 +178,7 @@ class _Derivative:
     def __call__(self, u, params):
         def value(params):
             made = as_parts(self.make(params))
-            if self.edges is None:
+            if self.edges is None or made.boundary is None:
                 return made.interior(u)
             return self.edges(u, *made.boundary.params)
 

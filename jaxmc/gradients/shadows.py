@@ -40,25 +40,25 @@ class ShadowEdges:
     """The boundary part of direct light at a point: value 0, and its derivative has what moving silhouettes add as its
     mean.
 
-    One coordinate chooses a light, a silhouette that is seen before it and a place on that, uniformly by angle. With h
-    the distance by which the silhouette moves over what lies behind, on the sphere of directions and along its normal,
-    the integrand is -L cos(theta) h: what is in front moves along with the silhouette and adds nothing. Each silhouette
-    is only where the ray past it meets the light in question, so every light is counted once.
+    One coordinate ``u`` chooses a light, a silhouette that is seen before it and a place on that, uniformly by angle.
+    With h the distance by which the silhouette moves over what lies behind, on the sphere of directions and along its
+    normal, the integrand is -L cos(theta) h: what is in front moves along with the silhouette and adds nothing. A place
+    counts only where the ray past it meets the light in question, so every light is counted once.
 
     Source: Reynolds' transport theorem; Li et al. 2018; Zhang et al. 2020.
     """
 
-    found: Silhouettes | None
+    found: Silhouettes
     lamps: tuple[Lamp, ...]
 
     def __call__(self, u, faces: Faces, emission, sky, point, normal, own):
-        if self.found is None:
+        if not self.found.known:
             raise ValueError(
                 "which edges of a scene coincide is not known while JAX traces it: pass the function that makes the "
                 "scene to mc.grad_integrate instead of differentiating this integrand"
             )
         fixed, x, n = still(faces), still(point), still(normal)
-        choice, density = self._choose(u[0], fixed, x, n)
+        choice, density = self._choose(u, fixed, x, n)
         place, skip, lamp = self._place(choice, fixed, faces, x)
         target = jnp.asarray([max(k.face, 0) for k in self.lamps])[lamp]
         is_sky = jnp.asarray([k.face == SKY for k in self.lamps])[lamp]
@@ -210,5 +210,3 @@ def lamps_of(scene, primitives) -> tuple[Lamp, ...]:
     if scene.sky is not None:
         lamps.append(Lamp(SKY, True, True))
     return tuple(lamps)
-
-

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..transport.flats import FlatLight
+from ..transport.primitives import is_concrete
 
 SAME = 1e-5  # of the size of the scene: points closer than that are one
 CORNERS = {False: ((-1, -1), (1, -1), (1, 1), (-1, 1)), True: ((-1, -1), (1, -1), (-1, 1))}
@@ -24,17 +25,23 @@ class Edge(NamedTuple):
 
 
 class Silhouettes(NamedTuple):
-    """The edges of a scene, the faces that are spheres, the primitive of each face, and which faces are triangles."""
+    """The edges of a scene, the faces that are spheres, the primitive of each face, and which faces are triangles.
+
+    Not ``known`` while JAX traces the scene: what coincides cannot be told then.
+    """
 
     edges: tuple[Edge, ...]
     spheres: tuple[int, ...]
     owner: tuple[int, ...]
     triangles: tuple[bool, ...]
+    known: bool = True
 
 
 def silhouettes(outlines, owner) -> tuple[Silhouettes, tuple[str, ...]]:
     """Return what can be a silhouette, and in words what is not covered: where primitives pass through each other, or
     edges overlap in part."""
+    if not is_concrete(outlines):
+        return Silhouettes((), (), tuple(owner), (), known=False), ()
     spheres = [i for i, o in enumerate(outlines) if not isinstance(o, FlatLight)]
     sides = [(i, a, b) for i, o in enumerate(outlines) if i not in spheres for a, b in _sides(o)]
     ends = np.array([[_corner(outlines[i], a), _corner(outlines[i], b)] for i, a, b in sides]).reshape(-1, 2, 3)
