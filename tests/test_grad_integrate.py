@@ -102,6 +102,10 @@ def test_gradcheck_finds_what_moves():
     # The bias is the boundary part, -0.2, and the interval says so.
     low, high = plain.interval(0.99999)
     assert low < -0.2 < high and high < -0.15
+
+
+@pytest.mark.slow
+def test_gradcheck_of_both_parts():
     full = mc.gradcheck(jump_and_edge, 0.4, n=1 << 18, tolerance=0.1)[0]
     assert full.verdict == "consistent" and full.jumps and full.p > 1e-4
     assert full.gradient == pytest.approx(0.4, abs=6 * full.error)

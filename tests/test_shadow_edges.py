@@ -169,6 +169,24 @@ def test_every_closed_form(name):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_inside_of_a_shining_sphere(mode):
+    """A room that shines is a sky; the receiver is at its centre, where no direction leads to the centre."""
+
+    def make(p):
+        sine, cosine = jnp.sin(p["theta"]), jnp.cos(p["theta"])
+        room = mc.Sphere((0.0, 0.0, 0.0), 9.0, BLACK, emission=p["sky"], inward=True)
+        return at_origin(ball([p["distance"] * sine, 0.0, p["distance"] * cosine], p["radius"]), room)
+
+    family = FAMILIES["sphere under the sky"]
+    found = mc.grad_integrate(
+        make, dict(family.arguments), n=1 << 18, boundary_n=1 << 13, sampler=mc.Sobol(), mode=mode
+    )
+    assert found.nonfinite == 0
+    check(found, family.derivatives, 0.01)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("make", GENERAL, ids=lambda make: make.__name__)
 def test_shadows_in_general_position(make):
     scene = getattr(analytic_scenes, make.__name__)()

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from ..transport.vec import Vec3, cross, dot, frame, larger, normalize, smaller
+from ..transport.vec import Vec3, cross, dot, frame, larger, smaller, where
 from .flows import Faces
 from .silhouettes import CORNERS, Silhouettes
 
@@ -60,7 +60,7 @@ def view_edges(found: Silhouettes, faces: Faces, point: Vec3) -> EdgeView:
     """Return all edges as seen from a point."""
     start, stop = ends_of(found, faces)
     to_start, to_stop = start - point, stop - point
-    first = normalize(to_start)
+    first = _direction(to_start)
     normal = cross(to_start, to_stop)
     squared = dot(normal, normal)
     seen = squared > 0.0  # an edge that points at the point has no length
@@ -87,8 +87,8 @@ def view_rims(found: Silhouettes, faces: Faces, point: Vec3) -> RimView:
     to = ball.center - point
     squared = dot(to, to)
     outside = squared > ball.radius * ball.radius
-    axis = to * (1.0 / jnp.sqrt(squared))
-    sine = jnp.where(outside, ball.radius * (1.0 / jnp.sqrt(squared)), 0.5)
+    axis = _direction(to)
+    sine = jnp.where(outside, ball.radius * (1.0 / jnp.sqrt(jnp.where(outside, squared, 1.0))), 0.5)
     rest = jnp.sqrt(larger(squared - ball.radius * ball.radius, 0.0))
     return RimView(axis, *frame(axis), sine, jnp.sqrt(1.0 - sine * sine), rest, outside)
 
@@ -139,6 +139,13 @@ def rim_arcs(view: RimView, target: Faces | None, point: Vec3, triangle: bool | 
     return Arcs(middle - width, jnp.where(view.outside, 2.0 * width * view.sine, 0.0))
 
 
+def _direction(to):
+    """Return the unit vector along ``to``, any one where that is 0."""
+    squared = dot(to, to)
+    known = squared > 0.0
+    return where(known, to * (1.0 / jnp.sqrt(jnp.where(known, squared, 1.0))), Vec3(0.0, 0.0, 1.0))
+
+
 def _clip(low, high, at_start, at_stop):
     """Return the part of [low, high] where a function that is linear from ``at_start`` at 0 to ``at_stop`` at 1 is not
     negative."""
@@ -169,11 +176,12 @@ def _cone_around(target, point, triangle):
     if triangle is None:
         to = target.center - point
         squared = dot(to, to)
-        sine2 = target.radius * target.radius / squared
-        return to * (1.0 / jnp.sqrt(squared)), jnp.where(sine2 < 1.0, jnp.sqrt(larger(1.0 - sine2, 0.0)), -1.0)
+        outside = squared > target.radius * target.radius
+        sine2 = target.radius * target.radius / jnp.where(outside, squared, 1.0)
+        return _direction(to), jnp.where(outside, jnp.sqrt(larger(1.0 - sine2, 0.0)), -1.0)
     corners = [target.center + target.half_u * u + target.half_v * v - point for u, v in CORNERS[triangle]]
-    axis = normalize(target.center + (target.half_u + target.half_v) * (-1.0 / 3.0 if triangle else 0.0) - point)
-    cosines = [dot(axis, normalize(c)) for c in corners]
+    axis = _direction(target.center + (target.half_u + target.half_v) * (-1.0 / 3.0 if triangle else 0.0) - point)
+    cosines = [dot(axis, _direction(c)) for c in corners]
     least = cosines[0]
     for c in cosines[1:]:
         least = smaller(least, c)
