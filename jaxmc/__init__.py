@@ -9,6 +9,7 @@ from . import backend
 backend.configure()
 
 from . import analysis as analysis
+from . import fireflies as fireflies
 from .gradients.check import Finding as Finding
 from .gradients.check import GradCheck as GradCheck
 from .gradients.check import gradcheck as gradcheck

@@ -84,8 +84,7 @@ class Shot(NamedTuple):
 
 
 def _shot(options) -> Shot:
-    name, paths, stream = STUDIES.get(options.scene, (options.scene, {}, 0))
-    scene, camera = _scene(name)
+    name, scene, camera, paths, stream = find_scene(options.scene)
     given = {key: getattr(options, key) for key in ("bounces", "lights", "directions")}
     given = {key: value for key, value in given.items() if value is not None}
     if options.roulette is not None:
@@ -94,7 +93,16 @@ def _shot(options) -> Shot:
         raise ValueError(f"--spp must be 1 or more, got {options.spp}")
     key, sampler = (seed(options) << 8) + stream, SAMPLERS[options.sampler]
     camera = _sized(camera, options.width, options.height)
-    return Shot(Path(name).stem, scene, camera, {"bounces": 5, **paths, **given, "key": key, "sampler": sampler})
+    return Shot(name, scene, camera, {"bounces": 5, **paths, **given, "key": key, "sampler": sampler})
+
+
+def find_scene(word) -> tuple[str, Scene, Camera, dict[str, Any], int]:
+    """Return name, scene, camera, path options and stream of random numbers of a scene, a file, or a study.
+
+    Raises ``ValueError`` for a name or a file that is none.
+    """
+    name, paths, stream = STUDIES.get(word, (word, {}, 0))
+    return Path(name).stem, *_scene(name), paths, stream
 
 
 def _scene(name) -> tuple[Scene, Camera]:

@@ -4,10 +4,11 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from .known import collection
-from .render_command import seed
+from .render_command import find_scene, seed
 from .studies import (
     calibration,
     caustic,
+    cures,
     diffuse_emissive,
     flat_vs_nested,
     light_sampling,
@@ -31,7 +32,10 @@ STUDIES = {
     "mirror-box": Study(
         "why the mirror box sparkles, and what clamping costs",
         mirror_box,
-        {"spp": (2048, "samples per pixel of the references (default 2048)")},
+        {
+            "spp": (2048, "samples per pixel of the references (default 2048)"),
+            "all": (False, "the figures of the source too: clamped, regularized and re-weighted images"),
+        },
     ),
     "regularization": Study(
         "what regularization keeps of the mirror box's caustic, and clamping does not",
@@ -105,13 +109,38 @@ def add_commands(commands) -> None:
     for name, study in STUDIES.items():
         command = studies.add_parser(name, help=study.about)
         for setting, (default, meaning) in study.settings.items():
-            command.add_argument(
-                f"--{setting}", type=int if isinstance(default, int) else str, default=default, help=meaning
-            )
-        command.add_argument("--out", default=f"out/{name}", help=f"folder of the report (default out/{name})")
-        command.add_argument("--seed", type=int, default=0, help="seed (default 0)")
-        command.add_argument("--quiet", action="store_true", help="no progress bar")
+            kind = {"type": int} if isinstance(default, int) else {"type": str}
+            kind = {"action": "store_true"} if isinstance(default, bool) else kind
+            command.add_argument(f"--{setting}", default=default, help=meaning, **kind)
+        _add_common(command, f"out/{name}")
         command.set_defaults(run=_run, study=study)
+    _add_cures(studies)
+
+
+def _add_common(command, out):
+    command.add_argument("--out", default=out, help=f"folder of the report (default {out})")
+    command.add_argument("--seed", type=int, default=0, help="seed (default 0)")
+    command.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def _add_cures(studies):
+    """Add the study that takes a scene."""
+    command = studies.add_parser("cures", help="what every cure of fireflies costs, on any scene")
+    command.add_argument("scene", metavar="SCENE", help="a scene or a file, as for `jaxmc render`")
+    command.add_argument("--spp", type=int, default=32768, help="samples per pixel of the reference (default 2^15)")
+    command.add_argument("--width", type=int, default=96, help="pixels in a row (default 96)")
+    command.add_argument("--bounces", type=int, help="scattering events at most (default 5, or those of the study)")
+    _add_common(command, "out/cures")
+    command.set_defaults(run=_run_cures)
+
+
+def _run_cures(options) -> int:
+    name, scene, camera, paths, _ = find_scene(options.scene)
+    paths = {"bounces": 5, **paths, **({} if options.bounces is None else {"bounces": options.bounces})}
+    given = {"spp": options.spp, "width": options.width, "seed": seed(options), "progress": not options.quiet}
+    settings = cures.Settings(scene, camera, name, paths, **given)
+    print(f"report: {cures.run(options.out, settings)}")
+    return 0
 
 
 def _run(options) -> int:

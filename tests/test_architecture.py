@@ -7,7 +7,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 TOP = "integration transport analysis gradients backend report plot scenes testing race other_integrators known"
-TOP += " pictures live"
+TOP += " pictures live fireflies"
 # room -> the rooms that it may import, besides itself. "" is `jaxmc` itself, that is, the public names.
 ALLOWED = {
     "backend": "",
@@ -17,6 +17,7 @@ ALLOWED = {
     "transport": "integration backend",
     "analysis": "integration backend",
     "gradients": "integration transport backend",
+    "fireflies": "integration transport analysis",
     "pictures": "",
     "plot": "analysis pictures",
     "live": "integration transport plot pictures",
@@ -90,6 +91,10 @@ def test_imports_follow_the_arrows():
         ("jaxmc/bench", "from . import integrate, plot", False),
         ("jaxmc/bench", "import analytic_scenes.genz", True),
         ("jaxmc/other_integrators", "from . import integrate", True),
+        ("jaxmc/fireflies/cures", "from ..transport.images import render\nfrom ..analysis import robust", False),
+        ("jaxmc/fireflies/comparison", "from ..plot import cures", True),
+        ("jaxmc/plot/cures", "from ..fireflies import Comparison", True),
+        ("jaxmc/transport/images", "from ..fireflies import compare", True),
         ("jaxmc/report", "from .backend import configure", True),
         ("jaxmc/__init__", "from .plot import image", False),
         ("jaxmc/transport/vec", "from jax._src import core", True),

@@ -9,7 +9,7 @@ import pytest
 import jaxmc as mc
 from jaxmc.testing import HEMISPHERE, SPHERE, Domain, assert_jacobian, assert_samples_pdf, directions
 from jaxmc.transport import bsdfs, flats, hits, rays, shapes, warps
-from jaxmc.transport.vec import Vec3, dot
+from jaxmc.transport.vec import Vec3, dot, normalize
 
 BLACK = mc.Diffuse(0.0)
 POINT = Vec3(0.2, 0.1, -0.3)
@@ -167,6 +167,20 @@ def test_samples_follow_the_density(name):
 def test_the_density_is_that_of_the_map(name):
     sample, pdf, _ = PAIRS[name]()
     assert assert_jacobian(sample, pdf) < 1e-4
+
+
+def normal_and_sphere(u):
+    """Return the normal (0, 0, 1) plus a uniform point of the unit sphere, normalised."""
+    z, turn = 1.0 - 2.0 * u[0], 2.0 * jnp.pi * u[1]
+    side = jnp.sqrt(4.0 * u[0] * (1.0 - u[0]))
+    return normalize(Vec3(side * jnp.cos(turn), side * jnp.sin(turn), 1.0 + z))
+
+
+@pytest.mark.slow
+def test_a_unit_sphere_and_the_normal_make_the_cosine():
+    assert assert_samples_pdf(normal_and_sphere, lambda w: warps.pdf_cosine_hemisphere(w.z), HEMISPHERE).cells >= 200
+    with pytest.raises(AssertionError):
+        assert_samples_pdf(normal_and_sphere, lambda w: warps.pdf_uniform_hemisphere(), HEMISPHERE)
 
 
 def test_nothing_that_draws_is_left_out():

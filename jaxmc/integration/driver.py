@@ -168,9 +168,8 @@ class Run:
         drawn afresh. None if that took longer than ``deadline`` on the clock; independent samples are cut short then.
         """
         points = self.points(n)
-        complete = self._add(
-            stream_jobs(self._ranges(points), self.blocks, self.rows, self.lanes), points, bar, deadline
-        )
+        jobs = stream_jobs(self._ranges(points), self.blocks, self.rows, self.lanes)
+        complete = self._add(jobs, points, bar, deadline)
         return self._estimate(points) if complete or self.replicates is None else None
 
     def family(self, n, bar) -> Estimate:

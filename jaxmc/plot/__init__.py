@@ -1,11 +1,13 @@
 """Figures: each function draws on the Axes that it is given. The only room that imports matplotlib."""
 
 from ..pictures import tone_map as tone_map
+from .cures import cures as cures
 from .curves import OTHER_MARKERS as OTHER_MARKERS
 from .curves import OWN_COLORS as OWN_COLORS
 from .curves import bars as bars
 from .curves import convergence as convergence
 from .curves import law as law
+from .curves import mean_ranges as mean_ranges
 from .curves import rates as rates
 from .curves import rounding_errors as rounding_errors
 from .curves import time_to_error as time_to_error

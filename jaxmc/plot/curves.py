@@ -98,3 +98,18 @@ def time_to_error(ax, curves, title, targets=(), others=None):
         axis.set_minor_formatter("")
     ax.set_title(title, fontsize=10)
     ax.grid(alpha=0.25)
+
+
+def mean_ranges(ax, n, means, truth):
+    """Draw estimates of a mean against the number of samples: median, and the range of nine in ten.
+
+    ``means``: label -> (counts, experiments).
+    """
+    for (label, found), color in zip(means.items(), ("#08519c", "#d95f02", "#1b9e77")):
+        low, middle, high = np.quantile(found, (0.05, 0.5, 0.95), axis=1)
+        ax.fill_between(n, low, high, color=color, alpha=0.2)
+        ax.plot(n, middle, color=color, lw=1.3, label=label)
+    ax.axhline(truth, color="k", lw=0.8, ls="--")
+    ax.set(xscale="log", yscale="log", xlabel="random pixels n", ylabel="mean of them")
+    ax.legend(fontsize=8)
+    ax.grid(alpha=0.3)

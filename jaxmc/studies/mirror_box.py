@@ -21,6 +21,7 @@ from ..transport.clamps import clamp_luminance
 from ..transport.debug import replay
 from ..transport.images import render
 from ..transport.materials import luminance
+from .mirror_box_figures import show_all
 from .stages import Stages
 
 PATHS = {"bounces": 8, "hide_emitters": True}
@@ -40,13 +41,16 @@ def is_firefly(value):
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Options of the study: ``spp`` samples for each pixel of the reference; fewer for everything else."""
+    """Options of the study: ``spp`` samples for each pixel of the reference, fewer for everything else; ``all``: make
+    the figures of the source too, one by one.
+    """
 
     spp: int = 2048
     width: int = 192
     height: int = 128
     seed: int = 0
     progress: bool = True
+    all: bool = False
 
     def __post_init__(self):
         if not 64 <= self.spp <= 1 << 20:
@@ -90,6 +94,8 @@ def run(folder, settings: Settings = Settings()) -> Path:
     tail = _show_fireflies(report, scene, camera, settings, reference, few)
     image = _show_clamping(report, reference, tail)
     _show_convergence(report, reference, ladder, image)
+    if settings.all:
+        show_all(report, settings, scene, camera, PATHS, reference, few, calm, calm16, ladder)
     report.values(
         {"seconds of sampling": sampling_seconds, "paths": total, "paths per second": total / sampling_seconds}
     )
@@ -117,15 +123,11 @@ def _show_images(report, settings, reference, few, calm, calm16, ladder):
     many = ladder[max(ladder)][0]
     report.section("The scene")
     report.text(
-        "A box, a green diffuse sphere and a second sphere, lit by one small light of radiance 500 that the "
-        "camera does "
-        "not see directly. With the second sphere **diffuse**, 16 samples per pixel are calm. With a **mirror** "
-        "the image "
-        "sparkles: a diffuse bounce rarely hits the one direction that leads over the mirror to the light, and "
-        "when it "
-        "does, the sample is worth hundreds. Light sampling does not help: no shadow ray goes over a mirror. The "
-        "lamp's own "
-        "image in the mirror is left out: it is light seen directly, without noise."
+        "A box, a green diffuse sphere and a second sphere, lit by one small light of radiance 500 that the camera "
+        "does not see directly. With the second sphere **diffuse**, 16 samples per pixel are calm. With a **mirror** "
+        "the image sparkles: a diffuse bounce rarely hits the one direction that leads over the mirror to the light, "
+        "and when it does, the sample is worth hundreds. Light sampling does not help: no shadow ray goes over a "
+        "mirror. The lamp's own image in the mirror is left out: it is light seen directly, without noise."
     )
     pictures = {
         f"diffuse sphere, {calm.n} spp": calm.mean,
@@ -142,9 +144,8 @@ def _show_images(report, settings, reference, few, calm, calm16, ladder):
     factor = float(f"{1.0 / np.quantile(luminance(smooth), 0.999):.1g}")
     pictures = {"what clamping took away": lost, f"mean of 7 x 7 pixels, {factor:g} times as bright": factor * smooth}
     caption = (
-        f"Unclamped minus clamped at {CLAMP:g}, {settings.spp} spp: all light that goes over the mirror, and with "
-        f"it the "
-        f"caustic under and beside the sphere. It is {energy:.1%} of the image's light."
+        f"Unclamped minus clamped at {CLAMP:g}, {settings.spp} spp: all light that goes over the mirror, and with it "
+        f"the caustic under and beside the sphere. It is {energy:.1%} of the image's light."
     )
     report.figure(plot.images(pictures), "caustic", caption)
     report.value("energy lost to clamping at 3", energy)
@@ -220,12 +221,10 @@ def _show_clamping(report, reference, tail):
     report.section("What clamping costs")
     report.text(
         "All three curves come from one pass over the samples. Left: the mean luminance that clamping at t takes "
-        "away, with "
-        "a band that holds for all t at once. Middle: what it buys. Right: the two together, for the mean squared "
-        "error of "
-        "a pixel of N samples; bias is squared pixel by pixel, since squares of pixels do not follow from the "
-        "image's mean. "
-        "A fixed threshold is right for one N only: its error stops falling at the square of its bias."
+        "away, with a band that holds for all t at once. Middle: what it buys. Right: the two together, for the mean "
+        "squared error of a pixel of N samples; bias is squared pixel by pixel, since squares of pixels do not follow "
+        "from the image's mean. A fixed threshold is right for one N only: its error stops falling at the square of "
+        "its bias."
     )
     report.figure(fig, "clamping", f"{band.note} N-sample errors: mean over pixels, luminance.")
     at3 = int(np.flatnonzero(image.threshold == CLAMP)[0])
