@@ -10,6 +10,14 @@ backend.configure()
 
 from . import analysis as analysis
 from . import fireflies as fireflies
+from .gradients.check import Finding as Finding
+from .gradients.check import GradCheck as GradCheck
+from .gradients.check import gradcheck as gradcheck
+from .gradients.derivative import Gradient as Gradient
+from .gradients.derivative import WithBoundary as WithBoundary
+from .gradients.derivative import grad_integrate as grad_integrate
+from .gradients.direct import direct_irradiance as direct_irradiance
+from .gradients.direct import mean_direct_irradiance as mean_direct_irradiance
 from .integration.adaptive import ImportanceMap as ImportanceMap
 from .integration.adaptive import adapt as adapt
 from .integration.buckets import Buckets as Buckets

@@ -40,7 +40,7 @@ class Scene:
     Attributes:
         given: the primitives and the sky as they came; not part of the pytree, so a scene that went through a
             transformation of JAX has none.
-        channels: 1 where every colour is grey, else 3.
+        channels: 1 where every colour is known to be grey, else 3.
         owner: for each face the number of its primitive.
         lights: the face of each light; a sphere that shines to both sides is two lights.
         mirrors, rough, dielectrics: the faces of these materials; all others are diffuse.
@@ -89,7 +89,7 @@ class Scene:
         colors = [as_color("reflectance", next(iter(colors_of(m).values()), 1.0)) for m in materials]
         metal = [(as_color("eta", m.eta), as_color("k", m.k)) if _is_metal(m) else None for m in materials]
         everything = [*colors, *radiances, *_colors_of(sky), *(c for pair in metal if pair for c in pair)]
-        self.channels = 1 if all(is_concrete(c) and c[0] == c[1] == c[2] for c in everything) else 3
+        self.channels = 1 if all(map(_is_grey, everything)) else 3
         self._paint(materials, colors, metal)
         shining = [
             lights.Shining(i, primitives[p], place.outlines[i], radiances[p], self._color(radiances[p]))
@@ -239,6 +239,11 @@ def _checked(primitives) -> list[Primitive]:
         if not isinstance(p, Primitive):
             raise ValueError(f"a scene is made of mc.Sphere, mc.Quad, mc.Triangle and mc.Box objects, got {p!r}")
     return primitives
+
+
+def _is_grey(rgb):
+    # One traced number for all channels is grey too, so tracing a grey scene changes no shape.
+    return rgb[0] is rgb[1] is rgb[2] or (is_concrete(rgb) and rgb[0] == rgb[1] == rgb[2])
 
 
 def _is_metal(material):

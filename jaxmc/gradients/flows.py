@@ -1,0 +1,138 @@
+"""How a sampled direction moves with the scene: flows that keep a sample at its place on what it has met.
+
+A sample is drawn with all parameters held, then evaluated again with the scene in motion. On flat faces, and inside
+spheres, it stays at its material point; on a sphere seen from outside it keeps its place in the cone of the sphere; a
+direction to the sky stays. So the edge of what is in front moves along with its own samples, and what is left to an
+integral over edges is only what lies behind them.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..transport.flats import FlatLight
+from ..transport.primitives import is_concrete
+from ..transport.vec import Vec3, cross, dot, normalize, where
+
+
+class Faces(NamedTuple):
+    """The faces of a scene as arrays, one number of each for every face: points of a flat one are
+    ``center + half_u * u + half_v * v``; those of a sphere have a ``radius``, which is 0 for flat ones.
+    """
+
+    center: Vec3
+    half_u: Vec3
+    half_v: Vec3
+    radius: Any
+
+    def at(self, face):
+        """Return the numbers of one face, or of a fixed array of them."""
+        return one_of(self, face)
+
+
+def one_of(tree, index):
+    """Return row ``index`` of every array in a tree; ``index`` may also be an array of known integers.
+
+    A traced index compares with all of them: the derivative of a gather is a scatter, which is slow, and which XLA:CPU
+    of jaxlib 0.10.2 fails to compile in some loops.
+    """
+    if is_concrete(index):
+        return jax.tree.map(lambda x: x[index], tree)
+    return jax.tree.map(lambda x: jnp.sum(jnp.where(jnp.arange(len(x)) == index, x, 0.0)), tree)
+
+
+def table_of_faces(outlines) -> Faces:
+    """Return the table of outlines as ``geometry.build`` makes them."""
+    zero = Vec3(0.0, 0.0, 0.0)
+    rows = [
+        Faces(o.center, o.half_u, o.half_v, 0.0) if isinstance(o, FlatLight) else Faces(o.center, zero, zero, o.radius)
+        for o in outlines
+    ]
+    return stacked(rows)
+
+
+def stacked(rows):
+    """Return trees of numbers as one tree of arrays, of NumPy where all numbers are known."""
+
+    def stack(*x):
+        return np.array(x, jnp.result_type(float)) if is_concrete(x) else jnp.stack([jnp.asarray(v, float) for v in x])
+
+    return jax.tree.map(stack, *rows)
+
+
+def still(tree):
+    """Return values that count as constants for derivatives."""
+    return jax.tree.map(jax.lax.stop_gradient, tree)
+
+
+def motion(v):
+    """Return 0, whose derivative is that of ``v``."""
+    return v - still(v)
+
+
+def flow(face: Faces, point: Vec3, wi: Vec3, distance):
+    """Return the direction from ``point`` to a sample on a face, and the ratio of its solid angle to what it was.
+
+    ``wi`` and ``distance`` say where the sample is; both count as constants. The direction is equal to ``wi``, the
+    ratio to 1; their derivatives are those of the flow.
+    """
+    wi, distance = still(wi), still(distance)
+    start, fixed = still(point), still(face)
+    to_center = fixed.center - start
+    outside = (fixed.radius > 0.0) & (dot(to_center, to_center) > fixed.radius * fixed.radius)
+    pinned, area = _pinned(face, fixed, point, wi, distance)
+    turned, cone = _in_cone(face, fixed, point, wi, outside)
+    return where(outside, turned, pinned), jnp.where(outside, cone, area)
+
+
+def _pinned(face, fixed, point, wi, distance):
+    """Keep the sample at its material point: its solid angle goes as area times cosine over squared distance."""
+    target = still(point) + wi * distance
+    offset = target - fixed.center
+    across = cross(fixed.half_u, fixed.half_v)
+    squared = dot(across, across)
+    inverse = 1.0 / jnp.where(squared > 0.0, squared, 1.0)
+    u, v = dot(cross(offset, fixed.half_v), across) * inverse, dot(cross(fixed.half_u, offset), across) * inverse
+    is_sphere = fixed.radius > 0.0
+    outward = offset * (1.0 / jnp.where(is_sphere, fixed.radius, 1.0))
+    moved = motion(face.center) + motion(face.half_u) * u + motion(face.half_v) * v
+    to = target + moved + outward * jnp.where(is_sphere, motion(face.radius), 0.0) - point
+    normal = where(is_sphere, outward * (face.radius * face.radius), cross(face.half_u, face.half_v))
+    length = dot(to, to)
+    return normalize(to), _ratio(dot(normal, to) / (length * jnp.sqrt(length)))
+
+
+def _in_cone(face, fixed, point, wi, outside):
+    """Keep the sample at its share s of 1 - cos within the cone of a sphere, and at its azimuth, to first order."""
+    moving = where(outside, face.center - point, Vec3(1.0, 0.0, 0.0))
+    radius = jnp.where(outside, face.radius, 0.5)
+    axis, most = _cone(moving, radius)
+    first, first_most = _cone(still(moving), still(radius))
+    apart = wi - first
+    share = 0.5 * dot(apart, apart) / first_most
+    aside = wi - first * dot(wi, first)
+    squared = dot(aside, aside)
+    known = squared > 0.0
+    aside = where(known, aside * (1.0 / jnp.sqrt(jnp.where(known, squared, 1.0))), Vec3(0.0, 0.0, 0.0))
+    height = share * most
+    sine = jnp.sqrt(jnp.where(known, height * (2.0 - height), 1.0))
+    # The azimuth follows the axis as a rigid rotation does.
+    upright = aside - axis * dot(aside, axis)
+    upright = normalize(where(known, upright, Vec3(1.0, 0.0, 0.0)))
+    direction = axis * (1.0 - height) + upright * jnp.where(known, sine, 0.0)
+    return wi + motion(direction), _ratio(most)
+
+
+def _cone(to_center, radius):
+    """Return the axis of a sphere's cone, and 1 - cos of its half angle."""
+    squared = dot(to_center, to_center)
+    sine2 = radius * radius / squared
+    return to_center * (1.0 / jnp.sqrt(squared)), sine2 / (1.0 + jnp.sqrt(1.0 - sine2))
+
+
+def _ratio(x):
+    """Return ``x`` over its own value: 1, with the logarithmic derivative of ``x``; plain 1 where that is 0."""
+    safe = jnp.where(still(x) != 0.0, x, 1.0)
+    return safe / still(safe)
