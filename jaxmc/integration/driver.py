@@ -92,7 +92,7 @@ def integrate_each(
         return run.family(n, bar)
 
 
-def family_run(f, items, key, sampler, replicates, tallies, workers, chunk, kept) -> "Run":
+def family_run(f, items, key, sampler, replicates, tallies, workers, chunk, kept=Moments(order=2)) -> "Run":
     """Return the run of a family of integrals before its first sample; arguments as in ``integrate_each``."""
     f, items = as_integrand(f), positive("items", items)
     replicates = _replicates(replicates, sampler, REPLICATES_EACH)

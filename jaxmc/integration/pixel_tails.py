@@ -71,12 +71,14 @@ class PixelTails:
         c = _scalar(self, values)
         c = c.astype(jnp.promote_types(c.dtype, jnp.float32))
         zero = jnp.zeros(c.shape[1:], c.dtype)
+        # Deviations from a firefly would cost the digits of all others: take the least of the first few samples.
+        center = jnp.where(valid[:4], c[:4], c[0]).min(0)
         lowest = jnp.full_like(zero, -jnp.inf)
 
         def add(r, state):
             powers, largest, above, bad = state
             x, wanted = c[r], valid[r]
-            y = jnp.where(wanted, x - c[0], 0.0)
+            y = jnp.where(wanted, x - center, 0.0)
             y2 = y * y
             powers = [s + p for s, p in zip(powers, (y, y2, y * y2, y2 * y2), strict=True)]
             passing, kept = jnp.where(wanted, jnp.where(jnp.isnan(x), jnp.inf, x), -jnp.inf), []
@@ -102,7 +104,7 @@ class PixelTails:
         powers, largest, above, bad = lax.fori_loop(0, -(-used // together), add_some, start)
         return {
             "moments": {
-                "count": valid.sum(0).astype(c.dtype), "mean": c[0], "scale": zero + 1.0, "powers": powers,
+                "count": valid.sum(0).astype(c.dtype), "mean": center, "scale": zero + 1.0, "powers": powers,
                 "nonfinite": bad,
             },
             "largest": jnp.stack(largest, -1),
