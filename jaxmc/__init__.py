@@ -16,8 +16,12 @@ from .gradients.check import gradcheck as gradcheck
 from .gradients.derivative import Gradient as Gradient
 from .gradients.derivative import WithBoundary as WithBoundary
 from .gradients.derivative import grad_integrate as grad_integrate
-from .gradients.direct import direct_irradiance as direct_irradiance
-from .gradients.direct import mean_direct_irradiance as mean_direct_irradiance
+from .gradients.paths import direct_irradiance as direct_irradiance
+from .gradients.paths import mean_direct_irradiance as mean_direct_irradiance
+from .gradients.paths import mean_moving_irradiance as mean_moving_irradiance
+from .gradients.paths import moving_irradiance as moving_irradiance
+from .gradients.paths import moving_paths as moving_paths
+from .gradients.paths import moving_radiance as moving_radiance
 from .integration.adaptive import ImportanceMap as ImportanceMap
 from .integration.adaptive import adapt as adapt
 from .integration.buckets import Buckets as Buckets

@@ -24,7 +24,8 @@ class Arcs(NamedTuple):
 
 class EdgeView(NamedTuple):
     """Edges seen from a point: their ends from there, unit vectors along and across the great circle, its normal away
-    from the faces, and the sharp ones: where background lies beyond.
+    from the first face, and the sharp ones: where all faces lie on one side, and background beyond. ``sides`` says for
+    the first, second ... face of each edge on which side it lies, ``around`` which face that is.
     """
 
     to_start: Vec3
@@ -32,7 +33,10 @@ class EdgeView(NamedTuple):
     first: Vec3
     second: Vec3
     normal: Vec3
+    seen: Any
     sharp: Any
+    sides: Any
+    around: Any
 
 
 class RimView(NamedTuple):
@@ -77,8 +81,8 @@ def view_edges(found: Silhouettes, faces: Faces, point: Vec3) -> EdgeView:
     sharp = seen
     for side in sides[1:]:
         sharp = sharp & (side == sides[0])
-    away = normal * -sides[0]
-    return EdgeView(to_start, to_stop, first, cross(normal, first), away, sharp)
+    away, sides = normal * -sides[0], jnp.stack([side * sides[0] for side in sides], 1)
+    return EdgeView(to_start, to_stop, first, cross(normal, first), away, seen, sharp, sides, jnp.asarray(around))
 
 
 def view_rims(found: Silhouettes, faces: Faces, point: Vec3) -> RimView:
@@ -93,50 +97,91 @@ def view_rims(found: Silhouettes, faces: Faces, point: Vec3) -> RimView:
     return RimView(axis, *frame(axis), sine, jnp.sqrt(1.0 - sine * sine), rest, outside)
 
 
-def edge_arcs(view: EdgeView, normal: Vec3, target: Faces | None, point: Vec3, triangle: bool | None) -> Arcs:
-    """Return the part of every edge that lies above the horizon of ``normal`` and before a light; None: the sky.
+class Cone(NamedTuple):
+    """Directions within an angle of an axis, by its cosine; -1: all of them."""
 
-    Before a flat light that is exactly the part whose light would come from there, by the planes through the point and
-    the light's own edges (Cyrus and Beck 1978); before a sphere the part within its cone.
-    """
+    axis: Vec3
+    cosine: Any
+
+
+class Halfspace(NamedTuple):
+    """The points p with ``normal`` . (p - x) >= ``height``, seen from x."""
+
+    normal: Vec3
+    height: Any = 0.0
+
+
+def edge_arcs(view: EdgeView, bounds: list[Halfspace], cone: Cone | None, wanted) -> Arcs:
+    """Return the part of every wanted edge that lies in all of some half spaces (Cyrus and Beck 1978) and in a cone."""
     low, high = jnp.zeros_like(view.first.x), jnp.ones_like(view.first.x)
-    low, high = _clip(low, high, dot(normal, view.to_start), dot(normal, view.to_stop))
-    is_ball = target is not None and triangle is None
-    if target is not None and not is_ball:
-        corners = [target.center + target.half_u * u + target.half_v * v - point for u, v in CORNERS[triangle]]
-        shift = -1.0 / 3.0 if triangle else 0.0
-        inside = target.center + (target.half_u + target.half_v) * shift - point
-        for a, b in zip(corners, [*corners[1:], corners[0]]):
-            plane = cross(a, b)
-            plane = plane * jnp.sign(dot(plane, inside))
-            low, high = _clip(low, high, dot(plane, view.to_start), dot(plane, view.to_stop))
-        # Nearer than the light's plane.
-        across = cross(target.half_u, target.half_v)
-        height = dot(across, inside)
-        across, height = across * jnp.sign(height), jnp.abs(height)
-        low, high = _clip(low, high, height - dot(across, view.to_start), height - dot(across, view.to_stop))
+    for bound in bounds:
+        ends = (dot(bound.normal, to) - bound.height for to in (view.to_start, view.to_stop))
+        low, high = _clip(low, high, *ends)
     begin, end = _angle_at(view, low), _angle_at(view, high)
-    if is_ball:
-        center, width = _within_cone(view, target, point)
+    if cone is not None:
+        center, width = _within_cone(view, cone)
         begin, end = larger(begin, center - width), smaller(end, center + width)
-    there = view.sharp & (high > low)
-    return Arcs(begin, jnp.where(there, larger(end - begin, 0.0), 0.0))
+    return Arcs(begin, jnp.where(wanted & (high > low), larger(end - begin, 0.0), 0.0))
 
 
-def rim_arcs(view: RimView, target: Faces | None, point: Vec3, triangle: bool | None) -> Arcs:
-    """Return the part of every rim that lies before a light, or somewhat more; the whole of it before the sky."""
-    middle = width = None
-    if target is not None:
-        axis, cosine = _cone_around(target, point, triangle)
-        apart = dot(view.axis, axis)
+def rim_arcs(view: RimView, cone: Cone | None) -> Arcs:
+    """Return the part of every rim that lies in a cone, or somewhat more; the whole of it without one."""
+    if cone is None:
+        middle, width = jnp.zeros_like(view.sine), jnp.full_like(view.sine, np.pi)
+    else:
+        apart = dot(view.axis, cone.axis)
         sine = jnp.sqrt(larger(1.0 - apart * apart, 1e-12))
         # Two circles on the sphere meet at this azimuth from the line between their centres.
-        bound = (cosine - view.cosine * apart) / (view.sine * sine)
-        width = jnp.where(cosine > 0.0, jnp.arccos(jnp.clip(bound, -1.0, 1.0)), np.pi)
-        middle = jnp.arctan2(dot(axis, view.bitangent), dot(axis, view.tangent))
-    else:
-        middle, width = jnp.zeros_like(view.sine), jnp.full_like(view.sine, np.pi)
+        bound = (cone.cosine - view.cosine * apart) / (view.sine * sine)
+        width = jnp.where(cone.cosine > 0.0, jnp.arccos(jnp.clip(bound, -1.0, 1.0)), np.pi)
+        middle = jnp.arctan2(dot(cone.axis, view.bitangent), dot(cone.axis, view.tangent))
     return Arcs(middle - width, jnp.where(view.outside, 2.0 * width * view.sine, 0.0))
+
+
+def corners_of(face: Faces, triangle) -> list[Vec3]:
+    """Return four corners of a flat face, in their order around it; of a triangle the last one twice."""
+    corners = (*CORNERS[True], CORNERS[True][-1])
+    places = [tuple(jnp.where(triangle, a, b) for a, b in zip(*uv)) for uv in zip(corners, CORNERS[False])]
+    return [face.center + face.half_u * u + face.half_v * v for u, v in places]
+
+
+def middle_of(face: Faces, triangle) -> Vec3:
+    """Return the centroid of a flat face."""
+    return face.center + (face.half_u + face.half_v) * jnp.where(triangle, -1.0 / 3.0, 0.0)
+
+
+def pyramid(corners: list[Vec3], inside: Vec3, point: Vec3) -> list[Halfspace]:
+    """Return the half spaces in whose common part a convex polygon around ``inside`` appears, seen from a point."""
+    bounds = []
+    for a, b in zip(corners, [*corners[1:], corners[0]]):
+        plane = cross(a - point, b - point)
+        bounds.append(Halfspace(plane * jnp.sign(dot(plane, inside - point))))
+    return bounds
+
+
+def this_side(face: Faces, inside: Vec3, point: Vec3) -> Halfspace:
+    """Return the half space of a flat face's plane that holds the point from which it is seen."""
+    across = cross(face.half_u, face.half_v)
+    height = dot(across, inside - point)
+    return Halfspace(across * -jnp.sign(height), -jnp.abs(height))
+
+
+def cone_around(corners: list[Vec3], inside: Vec3, point: Vec3) -> Cone:
+    """Return a cone with its axis through ``inside`` that holds a polygon."""
+    axis = _direction(inside - point)
+    least = jnp.ones_like(axis.x)
+    for corner in corners:
+        least = smaller(least, dot(axis, _direction(corner - point)))
+    return Cone(axis, least)
+
+
+def cone_of_ball(ball: Faces, point: Vec3) -> Cone:
+    """Return the cone of a sphere; from inside of one, all directions."""
+    to = ball.center - point
+    squared = dot(to, to)
+    outside = squared > ball.radius * ball.radius
+    sine2 = ball.radius * ball.radius / jnp.where(outside, squared, 1.0)
+    return Cone(_direction(to), jnp.where(outside, jnp.sqrt(larger(1.0 - sine2, 0.0)), -1.0))
 
 
 def _direction(to):
@@ -161,28 +206,11 @@ def _angle_at(view, t):
     return jnp.arctan2(dot(to, view.second), dot(to, view.first))
 
 
-def _within_cone(view, ball, point):
-    """Return the middle and half the width of the part of every great circle that lies in the cone of a sphere."""
-    axis, cosine = _cone_around(ball, point, None)
-    x, y = dot(axis, view.first), dot(axis, view.second)
-    width = jnp.where(cosine > -1.0, jnp.arccos(jnp.clip(cosine / jnp.sqrt(x * x + y * y), -1.0, 1.0)), 4.0 * np.pi)
+def _within_cone(view, cone):
+    """Return the middle and half the width of the part of every great circle that lies in a cone."""
+    x, y = dot(cone.axis, view.first), dot(cone.axis, view.second)
+    bound = jnp.clip(cone.cosine / jnp.sqrt(x * x + y * y), -1.0, 1.0)
+    width = jnp.where(cone.cosine > -1.0, jnp.arccos(bound), 4.0 * np.pi)
     # Arcs run from 0 to pi at most: count the middle from -pi / 2 on.
     middle = jnp.arctan2(y, x)
     return jnp.where(middle < -0.5 * np.pi, middle + 2.0 * np.pi, middle), width
-
-
-def _cone_around(target, point, triangle):
-    """Return axis and cosine of a cone that holds a light: exactly a sphere's, -1 from inside of one."""
-    if triangle is None:
-        to = target.center - point
-        squared = dot(to, to)
-        outside = squared > target.radius * target.radius
-        sine2 = target.radius * target.radius / jnp.where(outside, squared, 1.0)
-        return _direction(to), jnp.where(outside, jnp.sqrt(larger(1.0 - sine2, 0.0)), -1.0)
-    corners = [target.center + target.half_u * u + target.half_v * v - point for u, v in CORNERS[triangle]]
-    axis = _direction(target.center + (target.half_u + target.half_v) * (-1.0 / 3.0 if triangle else 0.0) - point)
-    cosines = [dot(axis, _direction(c)) for c in corners]
-    least = cosines[0]
-    for c in cosines[1:]:
-        least = smaller(least, c)
-    return axis, least

@@ -30,12 +30,14 @@ class WithBoundary(NamedTuple):
 
     ``interior`` is the integrand; the mean of its derivative is the interior part. ``boundary`` is an integrand of
     value 0, whose derivative has the other part as its mean; its function holds facts of the scene and no values. None
-    where nothing jumps. ``flags`` say in words what neither of them covers.
+    where nothing jumps. ``flags`` say in words what neither of them covers. The first ``held`` parameters of both are
+    the scene at rest, which no derivative is taken of.
     """
 
     interior: Integrand
     boundary: Integrand | None = None
     flags: tuple[str, ...] = ()
+    held: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,12 +144,12 @@ def grad_integrate(
             ``integrate`` refuses.
     """
     params = as_params(params)
-    interior, boundary, flags = derivatives(make_integrand, params, mode)
-    inside = integrate(interior, n=n, key=key, **options)
-    if boundary is None:
-        return Gradient(inside, None, flags)
+    found = derivatives(make_integrand, params, mode)
+    inside = integrate(found.interior, n=n, key=key, **options)
+    if found.boundary is None:
+        return Gradient(inside, None, found.flags)
     count = n if boundary_n is None else boundary_n
-    return Gradient(inside, integrate(boundary, n=count, key=boundary_key(key), **options), flags)
+    return Gradient(inside, integrate(found.boundary, n=count, key=boundary_key(key), **options), found.flags)
 
 
 def derivatives(make_integrand, params, mode="auto") -> WithBoundary:
@@ -157,30 +159,51 @@ def derivatives(make_integrand, params, mode="auto") -> WithBoundary:
     if mode == "auto":
         mode = "forward" if sum(math.prod(x.shape) for x in jax.tree.leaves(params)) <= FEW else "reverse"
     made = as_parts(make_integrand(params))
-    inside = _Derivative(make_integrand, mode)
-    interior = Integrand(inside, made.interior.dim, (params,), made.interior.lazy, made.interior.labels)
-    if made.boundary is None:
-        return WithBoundary(interior, None, made.flags)
-    around, b = _Derivative(make_integrand, mode, made.boundary.fn), made.boundary
-    return WithBoundary(interior, Integrand(around, b.dim, (params,), b.lazy, b.labels), made.flags)
+    held = made.held if _keeps_structure(make_integrand, params, made) else 0
+    inside, around = made.interior, made.boundary
+
+    def derivative(part, is_boundary):
+        fn = _Derivative(make_integrand, mode, part.fn if held or is_boundary else None, is_boundary, held)
+        return Integrand(fn, part.dim, (params, *part.params[:held]), part.lazy, part.labels)
+
+    boundary = None if around is None else derivative(around, True)
+    return WithBoundary(derivative(inside, False), boundary, made.flags)
+
+
+def _keeps_structure(make, params, made):
+    """Return whether what moves looks the same while JAX traces it, so that the scene at rest may stand in for it."""
+
+    def moving(params):
+        return as_parts(make(params)).interior.params[made.held :]
+
+    try:
+        traced = jax.eval_shape(moving, params)
+    except ValueError:
+        return False
+    return jax.tree.structure(traced) == jax.tree.structure(made.interior.params[made.held :])
 
 
 @dataclasses.dataclass(frozen=True)
 class _Derivative:
-    """The derivative of what ``make`` makes at one point: of its interior, or of its boundary, where ``edges``, the
-    function of that for known values, holds what cannot be found out while JAX traces.
+    """The derivative of what ``make`` makes at one point: of its interior, or of its boundary.
+
+    ``fn`` is the function of that part for known values, which holds what cannot be found out while JAX traces; None
+    where it has to be made anew. Parameters after ``params`` are those that are held.
     """
 
     make: Callable
     mode: str
-    edges: Any = None
+    fn: Any = None
+    is_boundary: bool = False
+    held: int = 0
 
-    def __call__(self, u, params):
+    def __call__(self, u, params, *rest):
         def value(params):
             made = as_parts(self.make(params))
-            if self.edges is None or made.boundary is None:
-                return made.interior(u)
-            return self.edges(u, *made.boundary.params)
+            part = made.boundary if self.is_boundary and made.boundary is not None else made.interior
+            # Of a family of integrals the number of one follows what is held.
+            held, item = rest[: self.held], rest[self.held :]
+            return (self.fn or part.fn)(u, *held, *part.params[self.held :], *item)
 
         return (jax.jacfwd if self.mode == "forward" else jax.jacrev)(value)(params)
 

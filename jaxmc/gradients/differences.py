@@ -38,13 +38,13 @@ class _Compare:
     make: Callable
     derivative: Callable
 
-    def __call__(self, u, params, ends, widths):
+    def __call__(self, u, params, ends, widths, *held):
         def value(params):
             return as_parts(self.make(params)).interior(u)
 
         upper, lower = jax.vmap(value)(ends).reshape(2, *widths.shape)
         quotient = (upper - lower) / widths
-        gradient = jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(self.derivative(u, params))])
+        gradient = jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(self.derivative(u, params, *held))])
         return {
             "value": value(params),
             "gradient": gradient,
@@ -68,9 +68,9 @@ def from_integrand(make, params, scales, steps, n, boundary_n, key, options):
     shape = jax.eval_shape(inside, jax.ShapeDtypeStruct((inside.dim,), jnp.result_type(float)))
     if getattr(shape, "shape", None) != ():
         raise ValueError(f"gradcheck wants an integrand of one number, this one is {shape}; map it to one component")
-    interior, boundary, flags = derivatives(make, params)
+    interior, boundary, flags, _ = derivatives(make, params)
     widths = 2.0 * np.outer(scales, steps)
-    arrays = params, _ends(params, widths), jnp.asarray(widths, float)
+    arrays = params, _ends(params, widths), jnp.asarray(widths, float), *interior.params[1:]
     compare = Integrand(_Compare(make, interior.fn), interior.dim, arrays, interior.lazy, interior.labels)
     found = integrate(compare, n=n, key=key, **options)
     mean, error, variance = found.mean, found.stderr, found.variance

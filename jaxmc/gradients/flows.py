@@ -14,7 +14,7 @@ import numpy as np
 
 from ..transport.flats import FlatLight
 from ..transport.primitives import is_concrete
-from ..transport.vec import Vec3, cross, dot, normalize, where
+from ..transport.vec import Vec3, cross, dot, normalize, smaller, where
 
 
 class Faces(NamedTuple):
@@ -72,8 +72,16 @@ def motion(v):
     return v - still(v)
 
 
-def flow(face: Faces, point: Vec3, wi: Vec3, distance):
-    """Return the direction from ``point`` to a sample on a face, and the ratio of its solid angle to what it was.
+class Flowed(NamedTuple):
+    """A sample that moves with the scene: its point, the direction to it, and its solid angle over what it was."""
+
+    point: Vec3
+    wi: Vec3
+    ratio: Any
+
+
+def flow(face: Faces, point: Vec3, wi: Vec3, distance) -> Flowed:
+    """Return how a sample on a face, seen from ``point``, moves.
 
     ``wi`` and ``distance`` say where the sample is; both count as constants. The direction is equal to ``wi``, the
     ratio to 1; their derivatives are those of the flow.
@@ -82,9 +90,8 @@ def flow(face: Faces, point: Vec3, wi: Vec3, distance):
     start, fixed = still(point), still(face)
     to_center = fixed.center - start
     outside = (fixed.radius > 0.0) & (dot(to_center, to_center) > fixed.radius * fixed.radius)
-    pinned, area = _pinned(face, fixed, point, wi, distance)
-    turned, cone = _in_cone(face, fixed, point, wi, outside)
-    return where(outside, turned, pinned), jnp.where(outside, cone, area)
+    pinned, in_cone = _pinned(face, fixed, point, wi, distance), _in_cone(face, point, wi, distance, outside)
+    return Flowed(*(where(outside, a, b) for a, b in zip(in_cone, pinned)))
 
 
 def _pinned(face, fixed, point, wi, distance):
@@ -98,20 +105,21 @@ def _pinned(face, fixed, point, wi, distance):
     is_sphere = fixed.radius > 0.0
     outward = offset * (1.0 / jnp.where(is_sphere, fixed.radius, 1.0))
     moved = motion(face.center) + motion(face.half_u) * u + motion(face.half_v) * v
-    to = target + moved + outward * jnp.where(is_sphere, motion(face.radius), 0.0) - point
+    place = target + moved + outward * jnp.where(is_sphere, motion(face.radius), 0.0)
+    to = place - point
     normal = where(is_sphere, outward * (face.radius * face.radius), cross(face.half_u, face.half_v))
     length = dot(to, to)
-    return normalize(to), _ratio(dot(normal, to) / (length * jnp.sqrt(length)))
+    return Flowed(place, wi + motion(normalize(to)), ratio(dot(normal, to) / (length * jnp.sqrt(length))))
 
 
-def _in_cone(face, fixed, point, wi, outside):
+def _in_cone(face, point, wi, distance, outside):
     """Keep the sample at its share s of 1 - cos within the cone of a sphere, and at its azimuth, to first order."""
     moving = where(outside, face.center - point, Vec3(1.0, 0.0, 0.0))
     radius = jnp.where(outside, face.radius, 0.5)
     axis, most = _cone(moving, radius)
     first, first_most = _cone(still(moving), still(radius))
     apart = wi - first
-    share = 0.5 * dot(apart, apart) / first_most
+    share = smaller(0.5 * dot(apart, apart) / first_most, 1.0)
     aside = wi - first * dot(wi, first)
     squared = dot(aside, aside)
     known = squared > 0.0
@@ -121,8 +129,35 @@ def _in_cone(face, fixed, point, wi, outside):
     # The azimuth follows the axis as a rigid rotation does.
     upright = aside - axis * dot(aside, axis)
     upright = normalize(where(known, upright, Vec3(1.0, 0.0, 0.0)))
-    direction = axis * (1.0 - height) + upright * jnp.where(known, sine, 0.0)
-    return wi + motion(direction), _ratio(most)
+    wi = wi + motion(axis * (1.0 - height) + upright * jnp.where(known, sine, 0.0))
+    # The near root, without the square root of a difference at the rim.
+    chord = jnp.sqrt(most * ((2.0 - most) - height)) * jnp.sqrt(1.0 - share)
+    length = distance + motion(jnp.sqrt(dot(moving, moving)) * ((1.0 - height) - chord))
+    return Flowed(point + wi * length, wi, ratio(most))
+
+
+def carried(face: Faces, point: Vec3, wi: Vec3, distance) -> Vec3:
+    """Return where a ray that moves meets a face, ``distance`` away now; derivatives are those of the meeting point.
+
+    Where the ray grazes the face they grow without bound, as the meeting point does move without bound.
+    """
+    fixed, place = still(face), point + wi * still(distance)
+    is_sphere = fixed.radius > 0.0
+    outward = (still(place) - fixed.center) * (1.0 / jnp.where(is_sphere, fixed.radius, 1.0))
+    normal = where(is_sphere, outward, cross(face.half_u, face.half_v))
+    gap = dot(normal, face.center - place) + jnp.where(is_sphere, face.radius, 0.0)
+    speed = still(dot(normal, wi))
+    return place + still(wi) * (motion(gap) / jnp.where(speed != 0.0, speed, 1.0))
+
+
+def normal_at(face: Faces, point: Vec3, normal: Vec3) -> Vec3:
+    """Return the unit normal of a face at a point of it; ``normal`` is what it is now, on either side."""
+    is_sphere = still(face.radius) > 0.0
+    across = where(is_sphere, point - face.center, cross(face.half_u, face.half_v))
+    known = still(dot(across, across)) > 0.0
+    across = normalize(where(known, across, Vec3(0.0, 0.0, 1.0)))
+    side = jnp.where(dot(still(across), still(normal)) < 0.0, -1.0, 1.0)
+    return still(normal) + motion(across) * jnp.where(known, side, 0.0)
 
 
 def _cone(to_center, radius):
@@ -132,7 +167,7 @@ def _cone(to_center, radius):
     return to_center * (1.0 / jnp.sqrt(squared)), sine2 / (1.0 + jnp.sqrt(1.0 - sine2))
 
 
-def _ratio(x):
+def ratio(x):
     """Return ``x`` over its own value: 1, with the logarithmic derivative of ``x``; plain 1 where that is 0."""
     safe = jnp.where(still(x) != 0.0, x, 1.0)
     return safe / still(safe)

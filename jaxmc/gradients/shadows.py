@@ -1,18 +1,29 @@
-"""What the edges of shadows add to the derivative of direct light: an integral along silhouettes."""
+"""What moving silhouettes add to the light that arrives at a point: integrals along them.
 
-import dataclasses
-from functools import partial
-from typing import Any, NamedTuple
+A direction drawn at a point keeps what it meets in place. So what is in front of a silhouette moves along with it and
+adds nothing: with h the distance by which the silhouette moves over what lies behind, on the sphere of directions and
+along its normal, the integrand is -f L cos(theta) h, L from behind.
+
+Source: Reynolds' transport theorem; Li et al. 2018; Zhang et al. 2020.
+"""
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..transport.hits import Hit
+from ..transport.lights import black
+from ..transport.rays import ray
 from ..transport.sky import sky_radiance
-from ..transport.vec import Vec3, cross, dot, larger, where
-from .arcs import edge_arcs, ends_of, rim_arcs, view_edges, view_rims
-from .flows import Faces, flow, motion, one_of, still
+from ..transport.vec import Vec3, cross, dot, where
+from .arcs import Halfspace, cone_around, cone_of_ball, corners_of, middle_of, pyramid, this_side
+from .curves import Place, distances, draw, joined, look, pieces, place_on
+from .flows import flow, motion, one_of, still
 from .silhouettes import Silhouettes
+from .walks import Vertex, evaluate
+from .world import World
 
 SKY = -1
 
@@ -25,184 +36,9 @@ class Lamp(NamedTuple):
     back: bool
 
 
-class Place(NamedTuple):
-    """A point on a silhouette: direction and distance from where it is seen, unit normal of the curve from what is in
-    front to what lies behind, and the point itself, which moves."""
-
-    wi: Vec3
-    distance: Any
-    away: Vec3
-    point: Vec3
-
-
-@dataclasses.dataclass(frozen=True)
-class ShadowEdges:
-    """The boundary part of direct light at a point: value 0, and its derivative has what moving silhouettes add as its
-    mean.
-
-    One coordinate ``u`` chooses a light, a silhouette that is seen before it and a place on that, uniformly by angle.
-    With h the distance by which the silhouette moves over what lies behind, on the sphere of directions and along its
-    normal, the integrand is -L cos(theta) h: what is in front moves along with the silhouette and adds nothing. A place
-    counts only where the ray past it meets the light in question, so every light is counted once.
-
-    Source: Reynolds' transport theorem; Li et al. 2018; Zhang et al. 2020.
-    """
-
-    found: Silhouettes
-    lamps: tuple[Lamp, ...]
-
-    def __call__(self, u, faces: Faces, emission, sky, point, normal, own):
-        if not self.found.known:
-            raise ValueError(
-                "which edges of a scene coincide is not known while JAX traces it: pass the function that makes the "
-                "scene to mc.grad_integrate instead of differentiating this integrand"
-            )
-        fixed, x, n = still(faces), still(point), still(normal)
-        choice, density = self._choose(u, fixed, x, n)
-        place, skip, lamp = self._place(choice, fixed, faces, x)
-        target = jnp.asarray([max(k.face, 0) for k in self.lamps])[lamp]
-        is_sky = jnp.asarray([k.face == SKY for k in self.lamps])[lamp]
-        distances = _distances(fixed, np.array(self.found.triangles), x, place.wi)
-        reached, distance = self._reaches(distances, fixed, x, place, skip, lamp, target, is_sky, own)
-        reached = reached & (density > 0.0)
-        # Keep what is not used finite, or the chain rule makes it NaN.
-        distance = jnp.where(reached & ~is_sky, distance, 1.0)
-        behind, _ = flow(jax.tree.map(partial(_or_nearby, reached & ~is_sky), faces.at(target), fixed.at(target)),
-                         point, place.wi, distance)  # fmt: skip
-        behind = where(is_sky, place.wi, behind)
-        away = (place.point - point) * jnp.where(reached, 1.0 / jnp.where(reached, place.distance, 1.0), 0.0)
-        h = jnp.where(reached, dot(place.away, away) - dot(place.away, behind), 0.0)
-        weight = jnp.where(reached, -larger(dot(n, place.wi), 0.0) / jnp.where(density > 0.0, density, 1.0), 0.0)
-        light = still(_radiance(emission, sky, target, is_sky, place.wi))
-        value = light * (still(weight) * motion(h))
-        return jnp.stack(value) if isinstance(value, Vec3) else value
-
-    def _choose(self, u, fixed, x, n):
-        """Return the number of a silhouette and light, where on it, and the density by angle."""
-        starts, lengths, rates = [], [], []
-        edges, rims = self._views(fixed, x)
-        for lamp in self.lamps:
-            target = None if lamp.face == SKY else fixed.at(lamp.face)
-            shape = None if target is None or lamp.face in self.found.spheres else self.found.triangles[lamp.face]
-            if edges is not None:
-                arcs = edge_arcs(edges, n, target, x, shape)
-                mine = np.array([self._is_own(lamp, e.faces) for e in self.found.edges])
-                starts.append(arcs.start)
-                lengths.append(jnp.where(mine, 0.0, arcs.length))
-                rates.append(jnp.ones_like(arcs.start))
-            if rims is not None:
-                arcs = rim_arcs(rims, target, x, shape)
-                mine = np.array([self._is_own(lamp, (f,)) for f in self.found.spheres])
-                starts.append(arcs.start)
-                lengths.append(jnp.where(mine, 0.0, arcs.length))
-                rates.append(rims.sine)
-        start, length, rate = map(jnp.concatenate, (starts, lengths, rates))
-        upto = jnp.cumsum(length)
-        total, aim = upto[-1], u * upto[-1]
-        which = jnp.minimum(jnp.sum(upto <= aim), len(length) - 1)
-        angle = start[which] + (aim - (upto - length)[which]) / rate[which]
-        there = total > 0.0
-        return (which, angle), jnp.where(there & (length[which] > 0.0), 1.0 / jnp.where(there, total, 1.0), 0.0)
-
-    def _views(self, fixed, x):
-        edges = view_edges(self.found, fixed, x) if self.found.edges else None
-        return edges, view_rims(self.found, fixed, x) if self.found.spheres else None
-
-    def _is_own(self, lamp, faces):
-        owner = self.found.owner
-        return lamp.face != SKY and owner[lamp.face] in {owner[f] for f in faces}
-
-    def _place(self, choice, fixed, faces, x):
-        """Return the chosen point, the faces that its primitives have, and the light."""
-        which, angle = choice
-        count, balls = len(self.found.edges), len(self.found.spheres)
-        lamp, k = which // (count + balls), which % (count + balls)
-        edges, rims = self._views(fixed, x)
-        cosine, sine = jnp.cos(angle), jnp.sin(angle)
-        places = []
-        if edges is not None:
-            i = jnp.minimum(k, count - 1)
-            e = jax.tree.map(lambda a: a[i], edges)
-            wi = e.first * cosine + e.second * sine
-            # Where on the edge that direction points: both are perpendicular to wi x normal.
-            side, along = cross(e.normal, wi), e.to_stop - e.to_start
-            slope = dot(along, side)
-            t = -dot(e.to_start, side) / jnp.where(slope != 0.0, slope, 1.0)
-            start, stop = (one_of(end, i) for end in ends_of(self.found, faces))
-            distance = dot(e.to_start + along * t, wi)
-            places.append(Place(wi, distance, e.normal, start + (stop - start) * still(t)))
-        if rims is not None:
-            i = jnp.clip(k - count, 0, balls - 1)
-            r = jax.tree.map(lambda a: a[i], rims)
-            around = r.tangent * cosine + r.bitangent * sine
-            wi, away = r.axis * r.cosine + around * r.sine, around * r.cosine - r.axis * r.sine
-            ball = faces.at(jnp.asarray(self.found.spheres)[i])
-            places.append(Place(wi, r.distance, away, ball.center + away * ball.radius))
-        is_edge = k < count
-        place = places[0]
-        if len(places) == 2:
-            place = jax.tree.map(lambda a, b: jnp.where(is_edge, a, b), *places)
-        return place, jnp.asarray(self._primitives())[k], lamp
-
-    def _primitives(self):
-        """Return for each silhouette which faces belong to the primitives that make it."""
-        owner = self.found.owner
-        groups = [*(e.faces for e in self.found.edges), *((f,) for f in self.found.spheres)]
-        return np.array([[o in {owner[f] for f in faces} for o in owner] for faces in groups])
-
-    def _reaches(self, distances, fixed, x, place, skip, lamp, target, is_sky, own):
-        """Return whether the ray past a silhouette meets the light, and where."""
-        distance = distances[target]
-        face = fixed.at(target)
-        is_ball = face.radius > 0.0
-        outward = where(is_ball, x + place.wi * distance - face.center, cross(face.half_u, face.half_v))
-        facing = dot(outward, place.wi) < 0.0
-        front, back = (jnp.asarray([getattr(k, name) for k in self.lamps])[lamp] for name in ("front", "back"))
-        shines = jnp.where(facing, front, back) & (distance > place.distance)
-        length = jnp.where(is_sky, jnp.inf, distance)
-        numbers = jnp.arange(len(self.found.owner))
-        # Planar faces and spheres are never in the way of rays that leave themselves outward.
-        passed = skip | (numbers == own) | ((numbers == target) & ~is_sky)
-        free = ~jnp.any((distances < length) & ~passed)
-        return free & (is_sky | ((distance < jnp.inf) & shines)), distance
-
-
-def _or_nearby(is_used, moving, fixed):
-    return jnp.where(is_used, moving, fixed)
-
-
-def _radiance(emission, sky, target, is_sky, wi):
-    light = one_of(emission, target)
-    if sky is None:
-        return light
-    return where(is_sky, sky_radiance(sky, wi), light)
-
-
-def _distances(faces, triangles, x, wi):
-    """Return how far every face is along a ray, infinite for a miss."""
-    to = faces.center - x
-    normal = cross(faces.half_u, faces.half_v)
-    speed = dot(normal, wi)
-    flat = dot(normal, to) / jnp.where(speed != 0.0, speed, 1.0)
-    offset = wi * flat - to
-    squared = dot(normal, normal)
-    inverse = 1.0 / jnp.where(squared > 0.0, squared, 1.0)
-    u = dot(cross(offset, faces.half_v), normal) * inverse
-    v = dot(cross(faces.half_u, offset), normal) * inverse
-    hit = (jnp.abs(u) <= 1.0) & (jnp.abs(v) <= 1.0) & (flat > 0.0) & (speed != 0.0) & ~(triangles & (u + v > 0.0))
-    nearest = dot(to, wi)
-    aside = to - wi * nearest
-    chord2 = faces.radius * faces.radius - dot(aside, aside)
-    half = jnp.sqrt(larger(chord2, 0.0))
-    ball = jnp.where(nearest - half > 0.0, nearest - half, nearest + half)
-    met = (chord2 > 0.0) & (ball > 0.0)
-    is_ball = faces.radius > 0.0
-    return jnp.where(jnp.where(is_ball, met, hit), jnp.where(is_ball, ball, flat), jnp.inf)
-
-
-def lamps_of(scene, primitives) -> tuple[Lamp, ...]:
-    """Return what shines in a scene."""
-    lamps = []
+def lamps_of(scene) -> tuple[Lamp, ...]:
+    """Return what shines in a scene, which must be as it was made."""
+    primitives, lamps = scene.as_given()[0], []
     for face in sorted(set(scene.lights)):
         p = primitives[scene.owner[face]]
         inward = hasattr(p, "radius") and p.inward
@@ -210,3 +46,119 @@ def lamps_of(scene, primitives) -> tuple[Lamp, ...]:
     if scene.sky is not None:
         lamps.append(Lamp(SKY, True, True))
     return tuple(lamps)
+
+
+class Scan(NamedTuple):
+    """What a ray through a silhouette meets: distances of all faces, infinite for those that do not count, whether the
+    silhouette is seen, and the first thing behind it.
+    """
+
+    lengths: jax.Array
+    seen: jax.Array
+    behind: Hit
+
+
+def scan(world: World, found: Silhouettes, place: Place, point: Vec3, own, least=0.0) -> Scan:
+    """Return what a ray from ``point`` on face ``own`` meets; at a distance of ``least`` it comes through a window."""
+    rest, faces = world.rest, still(world.values.faces)
+    lengths = distances(faces, np.array(found.triangles), point, place.wi, own)
+    plane = np.array([[j == i or j in rest.twins[i] for j in range(rest.size)] for i in range(rest.size)])
+    plane &= np.array([i not in found.spheres for i in range(rest.size)])
+    flat_own = jnp.asarray(np.vstack([plane, np.zeros((1, rest.size), bool)]))[jnp.clip(own, -1, rest.size)]
+    flat_own = flat_own & (jnp.asarray(own) >= 0)
+    lengths = jnp.where(place.skip | flat_own | (lengths <= least), jnp.inf, lengths)
+    nearest = jnp.min(lengths)
+    face = jnp.where(nearest < jnp.inf, jnp.argmin(lengths), -1)
+    return Scan(lengths, nearest > place.distance, Hit(nearest, face))
+
+
+def velocity(world: World, place: Place, point: Vec3, face, distance, used):
+    """Return h: how far the silhouette moves over what lies behind, a face or the sky, where it is ``used``."""
+    # Keep what is not used finite, or the chain rule makes it NaN.
+    is_face = used & (face >= 0)
+    length = jnp.where(is_face, distance, 1.0)
+    behind = flow(world.values.faces.at(jnp.where(is_face, face, -1)), point, place.wi, length).wi
+    behind = where(is_face, behind, place.wi)
+    away = (place.point - point) * jnp.where(used, 1.0 / jnp.where(used, place.distance, 1.0), 0.0)
+    return jnp.where(used, dot(place.away, away) - dot(place.away, behind), 0.0)
+
+
+def draws(vertex: Vertex):
+    """Return whether there is a surface and directions are drawn from it: it is neither mirror nor glass."""
+    there, specular = vertex.surface.face >= 0, vertex.kinds.specular
+    return there if specular is None else there & ~specular
+
+
+def weighted(world, vertex: Vertex, strategy, place, density, used, light, h):
+    """Return -f L cos(theta) h over the density of the place: 0, with the derivative of h."""
+    rest = jax.tree.map(still, vertex)
+    value = still(evaluate(world, strategy, rest, place.wi)[0]) * (1.0 / jnp.pi)
+    weight = jnp.where(used, -1.0 / jnp.where(used, density, 1.0), 0.0)
+    brought = still(rest.beta * light * value) * (weight * motion(h))
+    return where(used, brought, black(world.rest))
+
+
+def shadows(world: World, found: Silhouettes, lamps, strategy, vertex: Vertex, u):
+    """Return what the edges of shadows add to direct light.
+
+    One coordinate draws a light, a silhouette that is seen before it, and a place on that. A place counts only where
+    the ray past it meets the light in question, so every light is counted once.
+    """
+    fixed, surface = still(world.values.faces), vertex.surface
+    x, n = surface.point, surface.normal
+    views = look(found, fixed, x)
+    place_of, count = drawn_before(found, fixed, views, lamps, x, n), len(found.edges) + len(found.spheres)
+    chosen = draw(u, place_of)
+    lamp = chosen.which // count
+    place = place_on(found, views, chosen.which % count, chosen.angle, world.values.faces)
+    face, front, back = (jnp.asarray([getattr(k, name) for k in lamps])[lamp] for name in Lamp._fields)
+    seen = scan(world, found, place, x, surface.face)
+    hit = seen.behind
+    row = fixed.at(face)
+    is_ball = row.radius > 0.0
+    distance = jnp.where(hit.face >= 0, hit.distance, 1.0)
+    outward = where(is_ball, x + place.wi * distance - row.center, cross(row.half_u, row.half_v))
+    shines = jnp.where(dot(outward, place.wi) < 0.0, front, back)
+    reached = (hit.face == face) & ((face == SKY) | shines)
+    used = reached & seen.seen & (chosen.density > 0.0) & (dot(n, place.wi) > 0.0) & draws(vertex)
+    h = velocity(world, place, vertex.moving.point, face, hit.distance, used)
+    light = one_of(still(world.values.emission), face)
+    if world.rest.sky is not None:
+        light = where(face == SKY, sky_radiance(still(world.values.sky), place.wi), light)
+    return weighted(world, vertex, strategy, place, chosen.density, used, light, h)
+
+
+def outlines(world: World, found: Silhouettes, strategy, vertex: Vertex, u, reflected_along):
+    """Return what silhouettes add to the light that other surfaces reflect to a point.
+
+    Coordinate ``u`` draws one above the horizon; ``reflected_along(ray, hit)`` is an estimate of the radiance that what
+    lies behind reflects. What that emits is left to ``shadows``.
+    """
+    surface = vertex.surface
+    views = look(found, still(world.values.faces), surface.point)
+    chosen = draw(u, pieces(found, views, [Halfspace(surface.normal)], None))
+    place = place_on(found, views, chosen.which, chosen.angle, world.values.faces)
+    seen = scan(world, found, place, surface.point, surface.face)
+    hit, above = seen.behind, dot(surface.normal, place.wi) > 0.0
+    used = seen.seen & (hit.face >= 0) & (chosen.density > 0.0) & above & draws(vertex)
+    h = velocity(world, place, vertex.moving.point, hit.face, hit.distance, used)
+    light = reflected_along(ray(surface.point, place.wi), hit._replace(face=jnp.where(used, hit.face, -1)))
+    return weighted(world, vertex, strategy, place, chosen.density, used, light, h)
+
+
+def drawn_before(found, fixed, views, lamps, x, n):
+    """Return the pieces of all silhouettes above the horizon and before each of the lights."""
+    tables = []
+    for lamp in lamps:
+        bounds, cone, own = [Halfspace(n)], None, -1
+        if lamp.face != SKY:
+            target, own = fixed.at(lamp.face), found.owner[lamp.face]
+            if lamp.face in found.spheres:
+                cone = cone_of_ball(target, x)
+            else:
+                triangle = found.triangles[lamp.face]
+                corners, inside = corners_of(target, triangle), middle_of(target, triangle)
+                bounds += [*pyramid(corners, inside, x), this_side(target, inside, x)]
+                cone = cone_around(corners, inside, x)
+        tables.append(pieces(found, views, bounds, cone, own=own))
+    return joined(tables)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..transport import geometry
 from ..transport.flats import FlatLight
 from ..transport.primitives import is_concrete
 
@@ -35,6 +36,20 @@ class Silhouettes(NamedTuple):
     owner: tuple[int, ...]
     triangles: tuple[bool, ...]
     known: bool = True
+
+
+def silhouettes_of(scene, bounces) -> tuple[Silhouettes, tuple[str, ...]]:
+    """Return what can be a silhouette in a scene as it was made, and in words what paths of so many bounces see that is
+    not covered.
+    """
+    found, flags = silhouettes(geometry.build(scene.as_given()[0]).outlines, scene.owner)
+    curved = [i for i in scene.mirrors if i in found.spheres]
+    if bounces and (curved or scene.dielectrics):
+        some = " and ".join(name for name, faces in (("curved mirrors", curved), ("glass", scene.dielectrics)) if faces)
+        flags += (f"edges that are seen over {some}: their images are not known",)
+    if bounces > 1 and len(set(scene.mirrors) - set(curved)) > 1:
+        flags += ("edges that are seen over several mirrors, one after the other",)
+    return found, flags
 
 
 def silhouettes(outlines, owner) -> tuple[Silhouettes, tuple[str, ...]]:

@@ -19,7 +19,7 @@ from .camera import Camera
 from .hits import closest_hit, surface_at
 from .integrands import path_integrand
 from .materials import luminance
-from .paths import _roulette, begin, finish, scatter
+from .paths import begin, finish, play_roulette, scatter
 from .scene import Scene
 from .strategy import Roulette
 
@@ -173,7 +173,7 @@ def _replay(integrand, tables, seed, words, pixels, sampler):
             safe = dataclasses.replace(strategy, roulette=Roulette(1.0))
             beta = scatter(scene, safe, u, first, surface, state, event=k).beta
             # The last coordinate of an event is for roulette.
-            return _roulette(strategy.roulette, beta, kinds_of(scene, surface), k, u[first + stride - 1])[0]
+            return play_roulette(strategy.roulette, beta, kinds_of(scene, surface), k, u[first + stride - 1])[0]
 
         state = jax.tree.map(lambda x: jnp.asarray(x, float if jnp.result_type(x).kind == "f" else None), state)
         state, seen = lax.scan(event, state, jnp.arange(strategy.bounces))

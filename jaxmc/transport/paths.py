@@ -134,7 +134,7 @@ def scatter(
     beta = beta if isinstance(weight, float) else beta * weight
     beta = strategy.clamp.of_throughput(beta) if strategy.clamp else beta
     if strategy.roulette:
-        survives, inverse = _roulette(strategy.roulette, beta, vertex.kinds, event, u[toward + 2])
+        survives, inverse = play_roulette(strategy.roulette, beta, vertex.kinds, event, u[toward + 2])
         alive, beta = alive & survives, beta * inverse
     onward = ray(surface.point, wi)
     meet = partial(closest_hit, scene)
@@ -150,7 +150,7 @@ def scatter(
     elif scattered is not None:
         scattered = jnp.ones((), bool)
     if scene.lights and not (strategy.lights == "nee" and specular is None):
-        emitted = _emission_met(scene, strategy, onward, hit, pdf, surface, specular)
+        emitted = emission_met(scene, strategy, onward, hit, pdf, surface, specular)
         if scattered is not None and strategy.hide_emitters:
             emitted = where(scattered, emitted, black(scene))
         emitted = limited(beta * emitted)
@@ -159,7 +159,7 @@ def scatter(
     return PathState(onward, hit, beta, radiance, scattered, memory, path.gained and Gained(sampled, met))
 
 
-def _roulette(roulette, beta, kinds, event, u):
+def play_roulette(roulette, beta, kinds, event, u):
     """Return whether a path survives, and what that makes it worth."""
     if roulette.survival == THROUGHPUT:
         brightest = larger(larger(beta.x, beta.y), beta.z) if isinstance(beta, Vec3) else beta
@@ -186,7 +186,7 @@ def _sky_met(scene, strategy, wi, pdf, normal, specular):
     return radiance * (weight if specular is None else jnp.where(specular, 1.0, weight))
 
 
-def _emission_met(scene, strategy, onward, hit, pdf, surface, specular):
+def emission_met(scene, strategy, onward, hit, pdf, surface, specular):
     """Return emission met after scattering: in full, weighted, or only after a mirror, which no light sample serves."""
     if strategy.lights == "none":
         return emission_toward(scene, onward, hit)

@@ -1,0 +1,172 @@
+"""The boundary part of a derivative of light transport: one integral over all edges that matter on a path.
+
+Edges matter on the film; at each surface point that directions are drawn from, before lights and before what reflects;
+and over a plane mirror in both. One sample has a place on the film's edges and one vertex of a path with edges around.
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from ..transport import paths
+from ..transport.lights import black
+from ..transport.paths import finish
+from ..transport.strategy import Strategy
+from ..transport.vec import where
+from .jumps import jump, of_film, of_film_in_mirror, of_vertex_in_mirror
+from .shadows import Lamp, outlines, shadows
+from .silhouettes import Silhouettes
+from .walks import as_state, scatter, scatter_at, vertex_of
+from .world import world
+
+RATIO = 0.5  # of the probabilities to look around the next vertex and around this one
+
+
+@dataclasses.dataclass(frozen=True)
+class Boundary:
+    """An integrand of value 0, whose derivative has what moving edges add as its mean.
+
+    ``mirrors`` are the faces that are plane mirrors. Its coordinates are those of a path up to its last vertex, then
+    ``choices``, then those of the paths that follow the edges.
+    """
+
+    strategy: Strategy
+    receiver: Any
+    found: Silhouettes
+    lamps: tuple[Lamp, ...]
+    mirrors: tuple[int, ...]
+
+    @property
+    def vertices(self) -> int:
+        """How many vertices of a path may have edges around them."""
+        return self.strategy.bounces + (1 if self.receiver.is_surface else 0)
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """What the coordinates decide between those of the two paths."""
+        count, film = self.vertices, hasattr(self.receiver, "part")
+        wanted = {
+            "which vertex": count > 1,
+            "film: edge": film,
+            "film: edge in a mirror": film and self.mirrors and self.strategy.bounces,
+            "shadow: edge": count and self.lamps,
+            "outline: edge": count > 1,
+            "vertex: edge in a mirror": count > 1 and self.mirrors,
+            "which mirror": self.strategy.bounces and len(self.mirrors) > 1,
+        }
+        return tuple(word for word, is_wanted in wanted.items() if is_wanted)
+
+    def labels(self, scene) -> tuple[str, ...]:
+        """Return what every coordinate decides."""
+        words, bounces = self.strategy.coordinates(scene), self.strategy.bounces
+        before = tuple(f"event {k + 1}, {word}" for k in range(self.vertices - 1) for word in words)
+        after = tuple(f"behind, event {k + 1}, {word}" for k in range(bounces) for word in words)
+        return (*self.receiver.labels, *before, *self.choices, *after)
+
+    def __call__(self, u, rest, at_rest, values, *pixel):
+        if not self.found.known:
+            raise ValueError(
+                "which edges of a scene coincide is not known while JAX traces it: pass the function that makes the "
+                "scene to mc.grad_integrate instead of differentiating this integrand"
+            )
+        moving = world(rest, at_rest, values)
+        begun, stride = self.receiver.begin(u, moving, *pixel), len(self.strategy.coordinates(rest))
+        first = begun.first + stride * max(self.vertices - 1, 0)
+        after = first + len(self.choices)
+
+        def choice(word):
+            return u[first + self.choices.index(word)]
+
+        total, mirror = black(rest), None
+        if self.mirrors and self.strategy.bounces:
+            count = len(self.mirrors)
+            which = jnp.minimum((choice("which mirror") * count).astype(int), count - 1) if count > 1 else 0
+            mirror = jnp.asarray(self.mirrors)[which]
+        if hasattr(self.receiver, "part"):
+            part = self.receiver.part(moving.values.place, *pixel)
+            total = total + self._on_film(moving, part, mirror, choice, u, after)
+        if self.vertices:
+            k, weight, vertex = self._vertex(moving, begun, choice, u)
+            total = total + self._around(moving, vertex, self.vertices - 1 - k, mirror, choice, u, after) * weight
+        return finish(self.strategy, total)
+
+    def _on_film(self, moving, part, mirror, choice, u, after):
+        """Return what edges on the film add, seen directly and in a mirror."""
+        bounces = self.strategy.bounces
+        along = self._radiance(moving, u, after, bounces, bounces, emits=True)
+        total = jump(moving, self.found, *of_film(moving, part), choice("film: edge"), along)
+        if mirror is None:
+            return total
+        along = self._radiance(moving, u, after, bounces - 1, bounces - 1, emits=True)
+        view = of_film_in_mirror(moving, part, mirror, self._is_triangle(mirror))
+        seen = jump(moving, self.found, *view, choice("film: edge in a mirror"), along)
+        return total + seen * float(len(self.mirrors))
+
+    def _around(self, moving, vertex, left, mirror, choice, u, after):
+        """Return what edges add around a vertex of a path that has ``left`` further events."""
+        total, most = black(moving.rest), self.vertices - 1
+        if self.lamps:
+            total = total + shadows(moving, self.found, self.lamps, self.strategy, vertex, choice("shadow: edge"))
+        if most:
+            along = self._radiance(moving, u, after, most, left, emits=False)
+            total = total + outlines(moving, self.found, self.strategy, vertex, choice("outline: edge"), along)
+        if most and mirror is not None:
+            along = self._radiance(moving, u, after, most - 1, left - 1, emits=True)
+            view = of_vertex_in_mirror(moving, self.strategy, vertex, mirror, self._is_triangle(mirror))
+            seen = jump(moving, self.found, *view, choice("vertex: edge in a mirror"), along)
+            total = total + where(left > 0, seen, black(moving.rest)) * float(len(self.mirrors))
+        return total
+
+    def _is_triangle(self, face):
+        return jnp.asarray(self.found.triangles)[face]
+
+    def _vertex(self, moving, begun, choice, u):
+        """Return the number of a vertex, one over its probability, and the vertex."""
+        weights = RATIO ** np.arange(self.vertices)
+        upto = np.cumsum(weights / weights.sum())
+        k = jnp.sum(choice("which vertex") >= jnp.asarray(upto[:-1], float)) if self.vertices > 1 else 0
+        weight = jnp.asarray(weights.sum() / weights, float)[k]
+        if self.vertices == 1 and begun.vertex is not None:
+            return k, weight, begun.vertex
+        stride, walk, done = len(self.strategy.coordinates(moving.rest)), begun.walk, 0
+        if walk is None:
+            walk, _ = scatter_at(moving, self.strategy, u, begun.first, begun.vertex, 0, anywhere=True)
+            done = 1
+
+        def step(walk, i):
+            onward, _ = scatter(moving, self.strategy, u, begun.first + stride * i, walk, i)
+            return jax.tree.map(lambda a, b: jnp.where(i < k, a, b), onward, walk), None
+
+        if self.vertices - 1 > done:
+            walk = lax.scan(step, jax.tree.map(as_state, walk), jnp.arange(done, self.vertices - 1))[0]
+        vertex = vertex_of(moving, walk)
+        if begun.vertex is not None:
+            vertex = jax.tree.map(lambda a, b: jnp.where(k == 0, a, b), begun.vertex, vertex)
+        return k, weight, vertex
+
+    def _radiance(self, moving, u, first, most, wanted, emits):
+        """Return a function of a ray and what it meets: the radiance along it after ``wanted`` events, ``most`` at
+        most; what is met itself counts where it ``emits``.
+        """
+        rest = moving.rest
+
+        def along(toward, hit):
+            state = paths.begin(rest, self.strategy, toward, hit)
+            if not emits:
+                state = state._replace(radiance=black(rest))
+            if isinstance(wanted, int):
+                return paths.follow(rest, self.strategy, u, first, state, wanted)[0]
+            if most == 0:
+                return state.radiance
+            totals = paths.follow(rest, self.strategy, u, first, state, most, lambda surface, after: after.radiance)[1]
+
+            def pick(none, some):
+                return jnp.sum(jnp.where(jnp.arange(most + 1) == wanted, jnp.concatenate([none[None], some]), 0.0))
+
+            return jax.tree.map(pick, state.radiance, totals)
+
+        return along

@@ -1,0 +1,161 @@
+"""Places on silhouettes as they are seen from a point: which there are, how one is drawn, and what lies behind it."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..transport.vec import Vec3, cross, dot, larger
+from .arcs import Cone, EdgeView, Halfspace, RimView, edge_arcs, ends_of, rim_arcs, view_edges, view_rims
+from .flows import Faces, one_of, still
+from .silhouettes import Silhouettes
+
+
+class Views(NamedTuple):
+    """All edges and all rims as seen from a point; None where there are none."""
+
+    edges: EdgeView | None
+    rims: RimView | None
+
+
+class Pieces(NamedTuple):
+    """Pieces of curves as arrays: where they start, their length on the sphere of directions, and how much of that is in
+    a unit of the angle that ``start`` is measured in.
+    """
+
+    start: Any
+    length: Any
+    rate: Any
+
+
+class Draw(NamedTuple):
+    """The number of a piece, where on it, and the density of that by length; 0 where there is nothing to draw."""
+
+    which: Any
+    angle: Any
+    density: Any
+
+
+class Place(NamedTuple):
+    """A point on a silhouette.
+
+    ``wi`` and ``distance`` say where it is seen, ``away`` is the unit normal of the curve from what is in front to what
+    lies behind, on the sphere of directions; ``point`` moves. ``skip`` says for each face whether it belongs to the
+    primitives of the silhouette; ``around`` and ``sides`` are the faces at an edge, and on which side of it they lie:
+    1 in front. A rim has one face in front.
+    """
+
+    wi: Vec3
+    distance: Any
+    away: Vec3
+    point: Vec3
+    skip: Any
+    around: Any
+    sides: Any
+
+
+def look(found: Silhouettes, fixed: Faces, point: Vec3) -> Views:
+    """Return everything that can be a silhouette as seen from a point."""
+    edges = view_edges(found, fixed, point) if found.edges else None
+    return Views(edges, view_rims(found, fixed, point) if found.spheres else None)
+
+
+def pieces(found: Silhouettes, views: Views, bounds: list[Halfspace], cone: Cone | None, *, creases=False, own=-1):
+    """Return the pieces within some half spaces, and within a cone: where that comes from bounds, it is for rims only.
+
+    ``creases``: also those edges where one visible face goes on into another. Those of primitive ``own`` are left out.
+    """
+    parts, owner = [], np.array(found.owner)
+    if views.edges is not None:
+        wanted = views.edges.seen if creases else views.edges.sharp
+        arcs = edge_arcs(views.edges, bounds, None if bounds[1:] else cone, wanted)
+        mine = jnp.any(jnp.asarray(owner)[views.edges.around] == own, 1)
+        parts.append(Pieces(arcs.start, jnp.where(mine, 0.0, arcs.length), jnp.ones_like(arcs.start)))
+    if views.rims is not None:
+        arcs = rim_arcs(views.rims, cone)
+        mine = jnp.asarray(owner[list(found.spheres)]) == own
+        parts.append(Pieces(arcs.start, jnp.where(mine, 0.0, arcs.length), views.rims.sine))
+    return joined(parts)
+
+
+def joined(parts: list[Pieces]) -> Pieces:
+    """Return pieces as one table."""
+    return Pieces(*map(jnp.concatenate, zip(*parts)))
+
+
+def draw(u, table: Pieces) -> Draw:
+    """Draw a place on some pieces, uniformly by length."""
+    upto = jnp.cumsum(table.length)
+    total = upto[-1]
+    aim = u * total
+    which = jnp.minimum(jnp.sum(upto <= aim), len(table.length) - 1)
+    length = table.length[which]
+    angle = table.start[which] + (aim - (upto[which] - length)) / table.rate[which]
+    there = (total > 0.0) & (length > 0.0)
+    return Draw(which, angle, jnp.where(there, 1.0 / jnp.where(total > 0.0, total, 1.0), 0.0))
+
+
+def place_on(found: Silhouettes, views: Views, k, angle, faces: Faces) -> Place:
+    """Return the place at an angle on curve number ``k``: edges come first, then rims."""
+    count, balls = len(found.edges), len(found.spheres)
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    skip, places = jnp.asarray(_primitives(found))[k], []
+    most = 1
+    if views.edges is not None:
+        i = jnp.minimum(k, count - 1)
+        e = jax.tree.map(lambda a: a[i], views.edges)
+        wi = e.first * cosine + e.second * sine
+        # Where on the edge that direction points: both are perpendicular to wi x normal.
+        side, along = cross(e.normal, wi), e.to_stop - e.to_start
+        slope = dot(along, side)
+        t = -dot(e.to_start, side) / jnp.where(slope != 0.0, slope, 1.0)
+        start, stop = (one_of(end, i) for end in ends_of(found, faces))
+        distance = dot(e.to_start + along * t, wi)
+        places.append(Place(wi, distance, e.normal, start + (stop - start) * still(t), skip, e.around, e.sides))
+        most = views.edges.sides.shape[1]
+    if views.rims is not None:
+        i = jnp.clip(k - count, 0, balls - 1)
+        r = jax.tree.map(lambda a: a[i], views.rims)
+        across = r.tangent * cosine + r.bitangent * sine
+        wi, away = r.axis * r.cosine + across * r.sine, across * r.cosine - r.axis * r.sine
+        number = jnp.asarray(found.spheres)[i]
+        ball = faces.at(number)
+        point = ball.center + away * ball.radius
+        around, sides = jnp.full(most, number), jnp.ones(most)
+        places.append(Place(wi, r.distance, away, point, skip, around, sides))
+    if len(places) == 1:
+        return places[0]
+    return jax.tree.map(lambda a, b: jnp.where(k < count, a, b), *places)
+
+
+def _primitives(found):
+    """Return for each silhouette which faces belong to the primitives that make it."""
+    owner = found.owner
+    groups = [*(e.faces for e in found.edges), *((f,) for f in found.spheres)]
+    return np.array([[o in {owner[f] for f in faces} for o in owner] for faces in groups])
+
+
+def distances(faces: Faces, triangles, point: Vec3, wi: Vec3, own):
+    """Return how far every face is along a ray from a point on face ``own``, infinite for a miss."""
+    to = faces.center - point
+    normal = cross(faces.half_u, faces.half_v)
+    speed = dot(normal, wi)
+    flat = dot(normal, to) / jnp.where(speed != 0.0, speed, 1.0)
+    offset = wi * flat - to
+    squared = dot(normal, normal)
+    inverse = 1.0 / jnp.where(squared > 0.0, squared, 1.0)
+    u = dot(cross(offset, faces.half_v), normal) * inverse
+    v = dot(cross(faces.half_u, offset), normal) * inverse
+    hit = (jnp.abs(u) <= 1.0) & (jnp.abs(v) <= 1.0) & (flat > 0.0) & (speed != 0.0) & ~(triangles & (u + v > 0.0))
+    nearest = dot(to, wi)
+    aside = to - wi * nearest
+    chord2 = faces.radius * faces.radius - dot(aside, aside)
+    half = jnp.sqrt(larger(chord2, 0.0))
+    ball = jnp.where(nearest - half > 0.0, nearest - half, nearest + half)
+    # From its own surface only the other root is left.
+    is_own = jnp.arange(len(faces.radius)) == own
+    ball = jnp.where(is_own, 2.0 * nearest, ball)
+    met = (chord2 > 0.0) & (ball > 0.0)
+    is_ball = faces.radius > 0.0
+    return jnp.where(jnp.where(is_ball, met, hit & ~is_own), jnp.where(is_ball, ball, flat), jnp.inf)
