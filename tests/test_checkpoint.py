@@ -270,21 +270,14 @@ def test_a_tally_of_the_user_goes_on_with_the_user(tmp_path):
     class Count(mc.TailHistogram):
         pass
 
-    path, tallies = tmp_path / "run.npz", {"mine": Count(of=of_a)}
-    whole = mc.integrate(tree, dim=2, n=N, tallies=tallies)
+    path, tallies, n = tmp_path / "run.npz", {"mine": Count(of=of_a)}, 2 * BLOCK
+    options = {"dim": 2, "n": n, "tallies": tallies, "chunk": BLOCK}
+    whole = mc.integrate(tree, **options)
     with pytest.raises(Killed):
-        mc.integrate(
-            tree,
-            dim=2,
-            n=N,
-            tallies=tallies,
-            checkpoint=mc.Checkpoint(path, 0.0),
-            progress=killed_after(2),
-            chunk=BLOCK,
-        )
+        mc.integrate(tree, **options, checkpoint=mc.Checkpoint(path, 0.0), progress=killed_after(2))
     with pytest.raises(ValueError, match="the tally 'mine'"):
         mc.Estimate.load(path)
-    assert same(mc.integrate(tree, dim=2, n=n, tallies=tallies, checkpoint=path, chunk=BLOCK), whole)
+    assert same(mc.integrate(tree, **options, checkpoint=path), whole)
 
 
 def test_ctrl_c_keeps_what_is_done(tmp_path):
@@ -311,9 +304,11 @@ def test_ctrl_c_keeps_what_is_done(tmp_path):
 
 def test_checkpoints_work_in_threads(tmp_path):
     found = []
-    thread = threading.Thread(
-        target=lambda: found.append(mc.integrate(tree, dim=2, n=N, checkpoint=tmp_path / "run.npz"))
-    )
+
+    def run():
+        found.append(mc.integrate(tree, dim=2, n=N, checkpoint=tmp_path / "run.npz"))
+
+    thread = threading.Thread(target=run)
     thread.start()
     thread.join()
     assert same(found[0], mc.integrate(tree, dim=2, n=N))

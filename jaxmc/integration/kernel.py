@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.sharding import PartitionSpec
 
 from .. import backend
 from .integrand import SAMPLES
@@ -137,12 +138,24 @@ def values_of_row(integrand, point, index, word_axes, items, axis_name=None):
     return over_samples(lambda u, *item: integrand.fn(u, *integrand.params, *item), in_axes=(1, *axes))(u, *items)
 
 
-@partial(jax.jit, static_argnames=("sampler", "tallies", "each"), compiler_options=backend.KERNEL_OPTIONS)
-def evaluate(integrand, tables, seed, base, offset, rows, *, sampler, tallies, each):
+@partial(jax.jit, static_argnames=("sampler", "tallies", "each", "mesh"), compiler_options=backend.KERNEL_OPTIONS)
+def evaluate(integrand, tables, seed, base, offset, rows, *, sampler, tallies, each, mesh=None):
     """Return the records of every tally for each block (leading axis) and a value, for its structure.
 
-    ``base`` has shape (blocks, rows, 2): the two words of an index.
+    ``base`` has shape (blocks, rows, 2): the two words of an index. On a ``mesh`` of several devices each has as many
+    of the blocks, and does them by itself.
     """
+    if mesh is not None:
+        alone = partial(_evaluate, sampler=sampler, tallies=tallies, each=each)
+        all, cut = PartitionSpec(), PartitionSpec(mesh.axis_names)
+        specs = (all, all, all, cut, cut, cut), (cut, all)
+        return jax.shard_map(alone, mesh=mesh, in_specs=specs[0], out_specs=specs[1], check_vma=False)(
+            integrand, tables, seed, base, offset, rows
+        )
+    return _evaluate(integrand, tables, seed, base, offset, rows, sampler, tallies, each)
+
+
+def _evaluate(integrand, tables, seed, base, offset, rows, sampler, tallies, each):
     axes = (0,) if each else (0, 1)
 
     def point(index):

@@ -191,9 +191,9 @@ class _PowerSums:
 
     @np.errstate(all="ignore")
     def merge(self, other):
-        self.center = np.where(self.n == 0, other.center, self.center)
+        self.center = np.asarray(np.where(self.n == 0, other.center, self.center))
         self._accumulate(..., _shift(other.n, other.total + other.carry, other.center - self.center))
-        self.n, self.nonfinite = self.n + other.n, self.nonfinite + other.nonfinite
+        self.n, self.nonfinite = np.asarray(self.n + other.n), self.nonfinite + other.nonfinite
 
     @np.errstate(all="ignore")
     def moments(self) -> MomentsResult:

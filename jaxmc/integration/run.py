@@ -45,7 +45,10 @@ class Run:
         self.started, self.seconds_before = time.perf_counter(), 0.0
         self.integrand, self.sampler, self.replicates = jax.tree.map(_as_array, integrand), sampler, replicates
         self.seed = seed_words(key)
-        self.workers, self.blocks, self.rows = workers or backend.workers(), blocks, rows
+        self.mesh = backend.mesh()
+        devices = self.mesh.size if self.mesh else 1
+        # Every device gets as many blocks; the last ones may be empty.
+        self.workers, self.blocks, self.rows = workers or backend.workers(), -(-blocks // devices) * devices, rows
         self.items, self.lanes, self.part, self.keeper = items, lanes, part, None
         about = {"key": key, "sampler": repr(sampler), **part.about}
         count = items if part.chosen is None else len(part.chosen)
@@ -135,7 +138,7 @@ class Run:
         sums.pending = sums.pending or (list(ranges), 0)
 
         def call(job):
-            return evaluate(*given, index_words(job.base), job.offset, job.rows, **static)
+            return evaluate(*given, index_words(job.base), job.offset, job.rows, **static, mesh=self.mesh)
 
         def records_of(job):
             # Drop the blocks that want no samples: they are the last ones, and their records are empty.
