@@ -16,6 +16,7 @@ from .sums import Sums
 
 SECONDS = 10.0
 SHARE = 0.01  # of the time that may go into writing
+folder_in_use: ContextVar = ContextVar("folder of checkpoints", default=None)  # see folders
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,32 +49,36 @@ def keep(run, checkpoint, n, target, bar, make) -> Estimate:
 
     What is in the file already is not done again. Without a checkpoint, only parts are given their recipe.
     """
-    if checkpoint is None and (folder := _folder.get()) is not None:
+    if checkpoint is None and (folder := folder_in_use.get()) is not None:
         return folder.keep(run, n, target, bar, make)
     if checkpoint is None:
         if run.part.about:
             run.sums.recipe = recipe(run, n, target)
         return make()
     checkpoint = checkpoint if isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
-    return Keeper(checkpoint, run, n, target).keep(bar, make)
+    keeper = Keeper(checkpoint, run, n, target)
+    keeper.resume(bar)
+    return keeper.grown(make)
 
 
 class Keeper:
     """Writes the sums of a run into the file of a checkpoint, and takes them up from there."""
 
-    def __init__(self, checkpoint, run, n, target):
-        self.path, self.seconds, self.run, self.n, self.target = (
-            Path(checkpoint.path), checkpoint.seconds, run, n, target
-        )  # fmt: skip
+    def __init__(self, checkpoint, run, n, target, at_least=0.0):
+        self.path, self.seconds, self.at_least = Path(checkpoint.path), checkpoint.seconds, at_least
+        self.run, self.n, self.target = run, n, target
         self.interrupted, self.recipe = False, None
 
-    def keep(self, bar, make) -> Estimate:
-        """Return the estimate of ``make()``, as ``keep`` says."""
+    def resume(self, bar):
+        """Take up what is in the file, if there is one. Raises ``ValueError`` where that is of no use."""
         if self.path.exists():
             self.take_up(self.load())
             bar.begin_at(self.run.sums.drawn)
-            if self.run.sums.finished:
-                return self.run.sums.estimate()
+
+    def grown(self, make) -> Estimate:
+        """Return the estimate of ``make()``, which is kept when it took ``at_least`` some seconds."""
+        if self.run.sums.finished:
+            return self.run.sums.estimate()
         self.run.keeper, self.due = self, time.monotonic() + self.seconds
         with self._interrupts():
             estimate = make()
@@ -113,7 +118,8 @@ class Keeper:
         sums = self.run.sums
         sums.finished, sums.result = True, dataclasses.replace(estimate, sums=None) if self.target else None
         sums.seconds = estimate.seconds
-        self.write()
+        if sums.seconds >= self.at_least:
+            self.write()
         return dataclasses.replace(estimate, sums=sums)
 
     def write(self):
@@ -149,6 +155,3 @@ class Keeper:
             yield
         finally:
             signal.signal(signal.SIGINT, before)
-
-
-_folder: ContextVar = ContextVar("folder of checkpoints", default=None)
