@@ -25,6 +25,7 @@ from .gradients.paths import moving_radiance as moving_radiance
 from .integration.adaptive import ImportanceMap as ImportanceMap
 from .integration.adaptive import adapt as adapt
 from .integration.buckets import Buckets as Buckets
+from .integration.checkpoint import Checkpoint as Checkpoint
 from .integration.combine import combine as combine
 from .integration.compiled import estimator as estimator
 from .integration.controls import control_variates as control_variates
@@ -41,6 +42,7 @@ from .integration.intervals import Interval as Interval
 from .integration.lattices import Lattice as Lattice
 from .integration.layers import Cascade as Cascade
 from .integration.layers import Layers as Layers
+from .integration.merging import merge as merge
 from .integration.mixtures import mixture as mixture
 from .integration.mixtures import one_sample_mixture as one_sample_mixture
 from .integration.mixtures import optimal_mixture as optimal_mixture

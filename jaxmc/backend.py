@@ -71,6 +71,13 @@ def workers() -> int:
 
 
 @functools.cache
+def mesh() -> jax.sharding.Mesh | None:
+    """Return all devices of this process in a row, among which blocks of samples are divided; None for a single one."""
+    devices = jax.local_devices()
+    return jax.sharding.Mesh(np.array(devices), ("blocks",)) if len(devices) > 1 else None
+
+
+@functools.cache
 def check_arithmetic() -> None:
     """Refuse to run where the backend adds wrongly over a short axis, as jaxlib 0.10.2 does on CPU by default.
 

@@ -1,10 +1,10 @@
-"""The command line: ``jaxmc render | replay | study | bench``, and commands of other packages: ``jaxmc scenes``."""
+"""The command line: ``jaxmc render | replay | merge | study | bench``, and those of other packages: ``scenes``."""
 
 import argparse
 import sys
 from importlib import metadata
 
-from . import __version__, bench, render_command, study_commands
+from . import __version__, bench, merge_command, render_command, study_commands
 from .known import COMMANDS
 
 
@@ -16,8 +16,8 @@ def main(arguments=None) -> int:
     except ValueError as error:
         print(f"jaxmc: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("jaxmc: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print("jaxmc: interrupted" + "".join(f"; {word}" for word in stop.args), file=sys.stderr)
         return 130
 
 
@@ -27,6 +27,7 @@ def _parser():
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     render_command.add_commands(commands)
+    merge_command.add_command(commands)
     study_commands.add_commands(commands)
     race = commands.add_parser("bench", help="error against run time of every sampler, and of other integrators")
     race.add_argument("name", nargs="?", default="oscillatory", help="integrand: a known name or module:function")

@@ -51,6 +51,8 @@ def add_commands(commands) -> None:
         "--threshold", type=float, default=views.FIREFLY, help="luminance of a firefly (default %(default)g)"
     )
     image.add_argument("--preview", action="store_true", help="refine the picture in passes; Ctrl-C keeps it and ends")
+    image.add_argument("--checkpoint", metavar="FILE.npz", help="keep the sums here, and go on from them after a kill")
+    image.add_argument("--part", metavar="I/N", help="the I-th of N parts of the rows; `jaxmc merge` joins their files")
     image.add_argument("--quiet", action="store_true", help="no progress")
     image.set_defaults(run=_render)
 
@@ -151,14 +153,17 @@ def _render(options):
     if not 0.0 < options.exposure < np.inf:
         raise ValueError(f"--exposure must be positive and finite, got {options.exposure}")
     if options.view != "image":
-        if options.preview:
-            raise ValueError("--preview shows the image; leave out --view")
+        if options.preview or options.checkpoint or options.part:
+            raise ValueError("--preview, --checkpoint and --part are for the image; leave out --view")
         return _view(shot, options, out, hdr)
+    if options.preview and (options.checkpoint or options.part):
+        raise ValueError("--preview keeps no sums; leave out --checkpoint and --part")
     if options.preview:
         estimate, complete = _refine(shot, options, out)
     else:
         progress = None if options.quiet else shot.name
-        estimate = render(shot.scene, shot.camera, spp=options.spp, progress=progress, **shot.arguments)
+        kept = {"checkpoint": options.checkpoint, "tiles": _tiles(options.part, shot.camera), "progress": progress}
+        estimate = render(shot.scene, shot.camera, spp=options.spp, **kept, **shot.arguments)
         complete = True
     pictures.write(out, pictures.png(estimate.mean, options.exposure))
     if hdr:
@@ -169,6 +174,17 @@ def _render(options):
     trouble = "" if estimate.status == "complete" else f"; {estimate.status}"
     print(f"{estimate.n:,} spp, compiling included {live.said(estimate, rate)}{trouble}")
     return 0 if complete else 130
+
+
+def _tiles(part, camera):
+    """Return the tiles of a part "I/N" of the rows of an image, or None for all of it."""
+    if part is None:
+        return None
+    number, _, count = part.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count) <= camera.height):
+        raise ValueError(f"--part must be I/N with I from 1 to N, and N at most {camera.height} rows, got {part!r}")
+    first, last = ((int(number) - k) * camera.height // int(count) for k in (1, 0))
+    return [(0, first, camera.width, last - first)]
 
 
 def _refine(shot, options, out):

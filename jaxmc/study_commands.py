@@ -1,10 +1,14 @@
 """The studies as commands: ``jaxmc study NAME``."""
 
+from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
+from .integration.checkpoint import SECONDS
+from .integration.folders import kept_in
 from .known import collection
 from .render_command import find_scene, seed
+from .report import writable_folder
 from .studies import (
     calibration,
     caustic,
@@ -121,6 +125,10 @@ def _add_common(command, out):
     command.add_argument("--out", default=out, help=f"folder of the report (default {out})")
     command.add_argument("--seed", type=int, default=0, help="seed (default 0)")
     command.add_argument("--quiet", action="store_true", help="no progress bar")
+    command.add_argument("--resume", action="store_true", help="go on where a run with these options was stopped")
+    command.add_argument(
+        "--every", type=float, default=SECONDS, help="seconds between checkpoints, in OUT/.unfinished (default 10)"
+    )
 
 
 def _add_cures(studies):
@@ -139,13 +147,25 @@ def _run_cures(options) -> int:
     paths = {"bounces": 5, **paths, **({} if options.bounces is None else {"bounces": options.bounces})}
     given = {"spp": options.spp, "width": options.width, "seed": seed(options), "progress": not options.quiet}
     settings = cures.Settings(scene, camera, name, paths, **given)
-    print(f"report: {cures.run(options.out, settings)}")
-    return 0
+    about = {"study": "cures", "scene": options.scene, "bounces": paths["bounces"], **given}
+    return _report(options, about, lambda: cures.run(options.out, settings))
 
 
 def _run(options) -> int:
     study = options.study
     chosen = {setting: getattr(options, setting) for setting in study.settings}
     settings = study.module.Settings(**chosen, seed=seed(options), progress=not options.quiet)
-    print(f"report: {study.module.run(options.out, settings)}")
+    about = {"study": study.module.__name__, **chosen, "seed": options.seed}
+    return _report(options, about, lambda: study.module.run(options.out, settings))
+
+
+def _report(options, about, run) -> int:
+    """Run a study, with its estimates kept until it has ended."""
+    writable_folder(options.out)
+    about = {key: value for key, value in about.items() if key != "progress"}
+    try:
+        with kept_in(Path(options.out, ".unfinished"), about, options.resume, options.every):
+            print(f"report: {run()}")
+    except KeyboardInterrupt as stop:
+        raise KeyboardInterrupt(*stop.args, "the same command with --resume goes on") from None
     return 0

@@ -25,13 +25,14 @@ ALLOWED = {
     "race": "analysis",
     "other_integrators": "",
     "known": "",
+    "merge_command": "integration pictures",
 }
 EDGES = {room: {room, *rooms.split()} for room, rooms in ALLOWED.items()}
 EDGES["bench"] = {"", "bench", *TOP.split()}
 EDGES["studies"] = {"", "studies", *TOP.split()}
 EDGES["render_command"] = {"render_command", *EDGES["studies"]}
 EDGES["study_commands"] = {"study_commands", *EDGES["render_command"]}
-EDGES[""] = EDGES["cli"] = EDGES["__main__"] = {"cli", "bench", *EDGES["study_commands"]}
+EDGES[""] = EDGES["cli"] = EDGES["__main__"] = {"cli", "bench", "merge_command", *EDGES["study_commands"]}
 FILES = sorted(path for package in ("jaxmc", "analytic_scenes") for path in (ROOT / package).rglob("*.py"))
 
 

@@ -19,7 +19,9 @@ import jaxmc as mc
 from jaxmc.analysis.clamping import clamp_curve
 from jaxmc.integration import driver, kernel, moments
 from jaxmc.integration.estimate import with_error
+from jaxmc.integration.run import Run
 from jaxmc.integration.samplers import Index, index_words, seed_words
+from jaxmc.integration.sums import Sums
 from jaxmc.testing import Exponential, LogNormal, Mix, Pareto
 
 # Samples that are known in advance: the coordinate is the sample's own index, and looks its value up in a table.
@@ -52,8 +54,8 @@ def integrate_table(table, n=None, **options):
 
 def run_from(start, stop, f, tallies, sampler=None, blocks=2):
     """Return the estimate from the samples with indices start <= i < stop."""
-    run = driver.Run(f, 0, sampler or mc.Independent(), None, tallies, 2, blocks)
-    run.n = start
+    run = Run(f, 0, sampler or mc.Independent(), None, tallies, 2, blocks)
+    run.sums.drawn = start
     return run.stream(stop, driver.Progress(None, None))
 
 
@@ -113,13 +115,13 @@ def test_results_do_not_depend_on_chunks_or_workers(whole, chunk, workers):
 
 def test_other_seeds_and_other_orders_give_other_results(whole, monkeypatch):
     assert not same(mc.integrate(tree, dim=2, n=N, tallies=TALLIES, key=1), whole)
-    fold = driver.Run._fold
+    fold = Sums._fold
 
-    def backwards(run, name, tally, record, job):
-        fold(run, name, tally, record if tally.pooled else jax.tree.map(lambda x: x[::-1], record), job)
+    def backwards(sums, name, tally, record, job):
+        fold(sums, name, tally, record if tally.pooled else jax.tree.map(lambda x: x[::-1], record), job)
 
     # Moments of blocks that are added in another order differ in their last digits, and the comparison sees it.
-    monkeypatch.setattr(driver.Run, "_fold", backwards)
+    monkeypatch.setattr(Sums, "_fold", backwards)
     assert not same(mc.integrate(tree, dim=2, n=N, tallies=TALLIES), whole)
 
 

@@ -113,13 +113,13 @@ PIXEL_TALLIES = {
 def test_uneven_shards_merge_to_the_whole(name):
     tally = PIXEL_TALLIES[name]
     whole, *parts = (run_part(*cut, {name: tally}) for cut in [(0, 333), (0, 64), (64, 65), (65, 301), (301, 333)])
-    state = parts[0].states[name]
+    state = parts[0].sums.states[name]
     for part in parts[1:]:
-        state = tally.merge(state, part.states[name])
-    for got, want in zip(tally.result(state), tally.result(whole.states[name]), strict=True):
+        state = tally.merge(state, part.sums.states[name])
+    for got, want in zip(tally.result(state), tally.result(whole.sums.states[name]), strict=True):
         assert np.allclose(got, want, rtol=1e-5, atol=1e-7)
     count = "soft_count" if name == "cascade" else "count"
-    assert np.sum(getattr(tally.result(whole.states[name]), count)) > 0.0
+    assert np.sum(getattr(tally.result(whole.sums.states[name]), count)) > 0.0
 
 
 @pytest.mark.parametrize("chunk", [1, slow(2**20)])

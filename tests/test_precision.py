@@ -11,6 +11,7 @@ import pytest
 import analytic_scenes
 import jaxmc as mc
 from jaxmc.integration import driver, kernel
+from jaxmc.integration.run import Run
 from jaxmc.testing import SIGMAS
 
 DEFAULTS = (*analytic_scenes.ALL, *analytic_scenes.integrands.default_integrands(8))
@@ -49,10 +50,10 @@ def merged(f, cuts):
     """Return the moments of the samples between cuts, each part run by itself and all merged."""
     tally, states = mc.Moments(), []
     for start, stop in itertools.pairwise(cuts):
-        run = driver.Run(f, 0, mc.Independent(), None, None, None, 2)
-        run.n = start
+        run = Run(f, 0, mc.Independent(), None, None, None, 2)
+        run.sums.drawn = start
         run.stream(stop, driver.Progress(None, None))
-        states.append(run.states["moments"])
+        states.append(run.sums.states["moments"])
     total = copy.deepcopy(states[0])
     for state in states[1:]:
         total = tally.merge(total, state)

@@ -10,8 +10,10 @@ from jax import lax
 
 from .counts import is_count
 from .moments import apply
+from .storage import storable
 
 
+@storable
 class BucketMeans(NamedTuple):
     """``count`` and ``mean`` of the samples in each bucket.
 
@@ -22,6 +24,7 @@ class BucketMeans(NamedTuple):
     mean: np.ndarray
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class Buckets:
     """Sample s of an integral goes to bucket s mod ``count``, for each integral of a family (each pixel).

@@ -10,11 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from .moments import apply
+from .storage import storable
 
 GROUPS = 32  # of samples of one integral, kept apart for error bars
 REPLICATES = 64  # of halves of the samples of a family
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class Covariance:
     """Mean vector and covariance matrix of a sample that is a vector, such as the parts of a path integrand.
@@ -127,6 +129,7 @@ def _merged(n, mean, scatter, more, other, spread):
     return n + more, mean + (more / both)[..., None] * apart, scatter
 
 
+@storable
 class CovarianceResult(NamedTuple):
     """Samples in groups: their number ``n`` (G, H), ``mean`` (G, H, P), and ``scatter`` (G, H, P, P), the sums of
     products of deviations from the mean of the group. ``each``: the groups are the integrals of a family, such as

@@ -7,9 +7,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from . import intervals
+from . import intervals, storage
 from .intervals import Interval
 from .moments import MomentsResult
+from .storage import storable
 
 # Cochran's rule says that the mean of n samples is near normal if n exceeds 25 skewness^2. That is the skewness of the
 # law; that of samples is mostly smaller, and the smaller, the lower their mean. So ask for twice as many.
@@ -17,6 +18,7 @@ TOO_SKEW = 50.0
 TOO_PEAKED = 0.05  # share of the sum of fourth powers in the squared sum of squares: few samples make the variance
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class Estimate:
     """The result of a Monte Carlo integration.
@@ -31,6 +33,7 @@ class Estimate:
         replicate_means: those means, shape (R, ...) for each leaf; None for a family of integrals.
         reached: whether the target was met; None where there was none.
         ratio: whether it is a ratio of sums, such as a pixel with a filter: then no interval follows from bounds.
+        sums: what it was made from, so that ``merge`` can add others; None unless there was a checkpoint or a part.
     """
 
     moments: list[MomentsResult]
@@ -43,6 +46,7 @@ class Estimate:
     replicate_means: list[np.ndarray] | None = None
     reached: bool | None = None
     ratio: bool = False
+    sums: Any = dataclasses.field(default=None, repr=False, compare=False)
 
     def __getitem__(self, name):
         return self.tallies[name]
@@ -117,6 +121,31 @@ class Estimate:
     def half_widths(self, level: float) -> list[np.ndarray]:
         """Return half the width of the default interval for each leaf, the mean of both its sides."""
         return intervals.half_widths(self, level)
+
+    def save(self, path) -> None:
+        """Write it to an npz file, which appears whole or not at all; ``Estimate.load`` reads it.
+
+        Functions, such as ``of`` of a tally, are kept by their names only, and a value of a class of your own comes
+        back as a plain list or tuple.
+
+        Raises:
+            ValueError: a result of a tally of your own that is not made of numbers, arrays, lists and dictionaries.
+            OSError: the file cannot be written.
+        """
+        storage.save(path, self if self.sums is None else self.sums)
+
+    @classmethod
+    def load(cls, path) -> "Estimate":
+        """Read what ``save`` wrote, or a checkpoint: of an unfinished run, the estimate from what there is.
+
+        Nothing in a file is run. Raises ``ValueError`` for a file that is damaged, of another version or none of
+        jaxmc's, and for a checkpoint without samples; ``OSError`` where it cannot be read.
+        """
+        found = storage.load(path)
+        try:
+            return found if isinstance(found, cls) else found.estimate()
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} holds no estimate: {error}") from error
 
     def summary(self) -> str:
         """Return mean, error, samples, time and status in a few lines."""

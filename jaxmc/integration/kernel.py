@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.sharding import PartitionSpec
 
 from .. import backend
 from .integrand import SAMPLES
@@ -46,12 +47,22 @@ class Job(NamedTuple):
         return self.base[block, row] + self.offset[block, lane].astype(np.uint64) * np.uint64(self.stride)
 
 
-def stream_jobs(ranges, blocks, rows=ROWS, width=LANES) -> Iterator[Job]:
+def remaining(ranges, size, done) -> Iterator[tuple[int, int, int]]:
+    """Yield what is left of ``ranges``, cut in pieces of ``size`` samples, without the first ``done`` pieces."""
+    for replicate, start, stop in ranges:
+        skipped = min(done, -(-(stop - start) // size))
+        done -= skipped
+        if start + skipped * size < stop:
+            yield replicate, start + skipped * size, stop
+
+
+def stream_jobs(ranges, blocks, rows=ROWS, width=LANES, done=0) -> Iterator[Job]:
     """Yield jobs for the samples ``start <= index < stop`` of each ``(replicate, start, stop)`` in ``ranges``, in
-    blocks of ``rows`` and ``width`` lanes.
+    blocks of ``rows`` and ``width`` lanes, without the first ``done`` blocks.
     """
     block = rows * width
-    pieces = ((r, first, stop) for r, start, stop in ranges for first in range(start, stop, block))
+    left = remaining(ranges, block, done)
+    pieces = ((r, first, stop) for r, start, stop in left for first in range(start, stop, block))
     lanes, steps = np.arange(width), np.arange(0, block, width, dtype=np.uint64)
     while piece := _take(pieces, blocks):
         replicate, first, stop = (np.array(column, np.uint64) for column in zip(*piece, strict=True))
@@ -64,24 +75,29 @@ def stream_jobs(ranges, blocks, rows=ROWS, width=LANES) -> Iterator[Job]:
         yield Job(base, offset, wanted, replicate.astype(int), slice(None), first)
 
 
-def item_jobs(ranges, items, blocks, lanes, independent) -> Iterator[Job]:
+def item_jobs(ranges, items, blocks, lanes, independent, done=0, chosen=None) -> Iterator[Job]:
     """Yield jobs for the samples ``start <= s < stop`` of every integral of a family, for each ``(replicate, start,
-    stop)`` in ``ranges``.
+    stop)`` in ``ranges``, without the first ``done`` blocks.
 
     Sample s of item i has index ``s * items + i`` where points are independent. If not, the high word of the index is
-    ``replicate * items + i`` and the low word s: each integral has its own randomisations.
+    ``replicate * items + i`` and the low word s: each integral has its own randomisations. With ``chosen``, an array of
+    their numbers, only those items are done, and the slices of the jobs are those of ``chosen``.
     """
-    for replicate, start, stop in ranges:
+    count = items if chosen is None else len(chosen)
+    steps, begun = divmod(done, -(-count // lanes))
+    for replicate, start, stop in remaining(ranges, ROWS, steps):
         for sample in range(start, stop, ROWS):
             s = np.uint64(sample) + np.arange(ROWS, dtype=np.uint64)
             base = s * np.uint64(items) if independent else (np.uint64(replicate * items) << np.uint64(32)) + s
-            for item in range(0, items, blocks * lanes):
-                offset = item + np.arange(blocks * lanes).reshape(blocks, lanes)
-                rows = np.where(offset < items, min(stop - sample, ROWS), 0).astype(np.int32)
+            for place in range(begun * lanes, count, blocks * lanes):
+                places = place + np.arange(blocks * lanes).reshape(blocks, lanes)
+                rows = np.where(places < count, min(stop - sample, ROWS), 0).astype(np.int32)
+                offset = places if chosen is None else chosen[np.minimum(places, count - 1)]
                 yield Job(
                     np.broadcast_to(base, (blocks, ROWS)), offset.astype(np.uint32), rows, np.full(blocks, replicate),
-                    slice(item, item + rows.size), np.full(blocks, sample), 1 if independent else 1 << 32,
+                    slice(place, place + rows.size), np.full(blocks, sample), 1 if independent else 1 << 32,
                 )  # fmt: skip
+            begun = 0
 
 
 def _take(iterator, count):
@@ -122,12 +138,24 @@ def values_of_row(integrand, point, index, word_axes, items, axis_name=None):
     return over_samples(lambda u, *item: integrand.fn(u, *integrand.params, *item), in_axes=(1, *axes))(u, *items)
 
 
-@partial(jax.jit, static_argnames=("sampler", "tallies", "each"), compiler_options=backend.KERNEL_OPTIONS)
-def evaluate(integrand, tables, seed, base, offset, rows, *, sampler, tallies, each):
+@partial(jax.jit, static_argnames=("sampler", "tallies", "each", "mesh"), compiler_options=backend.KERNEL_OPTIONS)
+def evaluate(integrand, tables, seed, base, offset, rows, *, sampler, tallies, each, mesh=None):
     """Return the records of every tally for each block (leading axis) and a value, for its structure.
 
-    ``base`` has shape (blocks, rows, 2): the two words of an index.
+    ``base`` has shape (blocks, rows, 2): the two words of an index. On a ``mesh`` of several devices each has as many
+    of the blocks, and does them by itself.
     """
+    if mesh is not None:
+        alone = partial(_evaluate, sampler=sampler, tallies=tallies, each=each)
+        all, cut = PartitionSpec(), PartitionSpec(mesh.axis_names)
+        specs = (all, all, all, cut, cut, cut), (cut, all)
+        return jax.shard_map(alone, mesh=mesh, in_specs=specs[0], out_specs=specs[1], check_vma=False)(
+            integrand, tables, seed, base, offset, rows
+        )
+    return _evaluate(integrand, tables, seed, base, offset, rows, sampler, tallies, each)
+
+
+def _evaluate(integrand, tables, seed, base, offset, rows, sampler, tallies, each):
     axes = (0,) if each else (0, 1)
 
     def point(index):

@@ -17,10 +17,12 @@ from jax import lax
 from .buckets import as_array, fold_rows
 from .counts import is_count
 from .moments import apply
+from .storage import storable
 
 LAYERS = 16
 
 
+@storable
 class CascadeSums(NamedTuple):
     """Samples split over layers of brightness b_i = start base^i, the last one holding what is above the top layer.
 
@@ -36,6 +38,7 @@ class CascadeSums(NamedTuple):
     soft_count: np.ndarray
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class Cascade:
     """Samples split over layers of brightness, for each integral of a family (each pixel).
@@ -99,6 +102,7 @@ class Cascade:
         return CascadeSums(float(self.base), float(self.start), n, value / n, soft)
 
 
+@storable
 class LayerSums(NamedTuple):
     """Samples in bins of brightness: bin j from ``edges[j]`` up to the next edge, the first with all below.
 
@@ -114,6 +118,7 @@ class LayerSums(NamedTuple):
     value: np.ndarray
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class Layers:
     """Count and sum of the samples in bins of brightness, for each integral of a family (each pixel).

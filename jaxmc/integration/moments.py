@@ -10,9 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .storage import storable
+
 PIECE = 8192  # numbers that are worked on together
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class Moments:
     """Count, mean and central moments to order 4 of every component of the value.
@@ -102,6 +105,7 @@ def block_sum(x, axes):
     return x.reshape([size for axis, size in enumerate(x.shape) if axis not in axes])
 
 
+@storable
 class MomentsResult(NamedTuple):
     """Sample moments: ``central`` holds the central moments from the second on, divided by n."""
 
@@ -129,6 +133,7 @@ class MomentsResult(NamedTuple):
             return self.central[2] / self.central[0] ** 2
 
 
+@storable
 @dataclasses.dataclass
 class _PowerSums:
     """Compensated sums of (x - center)^k for k = 1 .. order; the power is the first axis of ``total`` and ``carry``."""
@@ -186,9 +191,9 @@ class _PowerSums:
 
     @np.errstate(all="ignore")
     def merge(self, other):
-        self.center = np.where(self.n == 0, other.center, self.center)
+        self.center = np.asarray(np.where(self.n == 0, other.center, self.center))
         self._accumulate(..., _shift(other.n, other.total + other.carry, other.center - self.center))
-        self.n, self.nonfinite = self.n + other.n, self.nonfinite + other.nonfinite
+        self.n, self.nonfinite = np.asarray(self.n + other.n), self.nonfinite + other.nonfinite
 
     @np.errstate(all="ignore")
     def moments(self) -> MomentsResult:
@@ -207,6 +212,7 @@ class _PowerSums:
         return MomentsResult(self.n.copy(), mean.reshape(shape), [x.reshape(shape) for x in central], self.nonfinite)
 
 
+@storable
 class Replicates:
     """The moments of independent randomisations of a family, one after the other: pooled over all samples, and of their
     means. ``current`` holds the sums of the randomisation under way, one ``_PowerSums`` to a leaf, or what has its
@@ -231,10 +237,11 @@ class Replicates:
             pooled.merge(sums)
             sums.clear()
 
-    def finish(self):
-        """Return moments of all samples and moments of the means."""
-        self._close()
-        self.under_way = None
+    def finish(self, complete=True):
+        """Return moments of all samples and moments of the means; of the randomisation under way if it is complete."""
+        if complete and self.under_way is not None:
+            self._close()
+            self.under_way = None
         return [s.moments() for s in self.pooled], [s.moments() for s in self.between]
 
 

@@ -10,9 +10,11 @@ from jax import lax
 
 from .counts import is_count
 from .moments import MomentsResult, _PowerSums
+from .storage import storable
 from .tallies import _scalar
 
 
+@storable
 class TailSums(NamedTuple):
     """What is kept of the samples of each of I integrals, such as the pixels of an image row by row.
 
@@ -36,6 +38,7 @@ class TailSums(NamedTuple):
         return self.moments.n
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class PixelTails:
     """Tail statistics of each integral of a family: moments to order 4, the largest samples, and counts, sums and sums

@@ -3,11 +3,12 @@
 from collections.abc import Callable, Iterator
 
 from .counts import positive
-from .driver import Run, blocks_of, family_run
+from .driver import blocks_of, family_run
 from .estimate import Estimate
 from .integrand import Integrand, as_integrand
 from .moments import Moments
 from .passes import doubling
+from .run import Run
 from .samplers import Independent
 from .work import Progress
 

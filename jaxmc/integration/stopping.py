@@ -61,11 +61,15 @@ def target(n, rtol, atol, max_n, max_seconds) -> Target | None:
 
 def run_until(target: Target, run, bar):
     """Let ``run`` grow until the target is met or the budget is spent, and return its last estimate."""
-    deadline = time.perf_counter() + target.max_seconds
-    n, looks = min(FIRST, target.max_n), []
+    deadline = time.perf_counter() + target.max_seconds - run.seconds_before
+    # A run that goes on from a checkpoint has had some looks, and is in the middle of one.
+    looks, n = run.sums.looks, run.sums.goal or min(FIRST, target.max_n)
+    estimate = None
     while True:
         began = time.perf_counter()
-        grown = run.stream(n, bar, deadline if looks else math.inf)
+        # The first estimate is to be had at any price; one of independent samples may be cut short.
+        needed = estimate is None and (run.replicates is not None or not looks)
+        grown = run.stream(n, bar, math.inf if needed else deadline)
         if grown is None:
             break
         estimate, excess = grown, target.excess(grown)

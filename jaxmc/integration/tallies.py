@@ -19,6 +19,7 @@ from jax import lax
 
 from .counts import is_count
 from .moments import apply, block_sum
+from .storage import storable
 
 BINS_PER_OCTAVE = 8
 BIN_BITS = 20  # bits of a float32 below the exponent and the leading three mantissa bits
@@ -26,6 +27,7 @@ BINS = 0x7F800000 >> BIN_BITS  # every finite non-negative float32 has its bin
 CELL = 1 << (32 - BIN_BITS)  # samples of BIN_BITS bits each whose sum stays below 2^32
 
 
+@storable
 class Histogram(NamedTuple):
     """Samples c >= 0 in bins [edges[j], edges[j+1]), eight to the octave; edges[0] = 0, zeros are in bin 0.
 
@@ -42,6 +44,7 @@ class Histogram(NamedTuple):
     negative: int
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class TailHistogram:
     """One-pass state of all tail statistics: count, sum and sum of squares in eight bins to the octave.
@@ -109,6 +112,7 @@ class TailHistogram:
         )  # fmt: skip
 
 
+@storable
 class Largest(NamedTuple):
     """The largest samples, largest first, ties by index: ``value`` and ``index``, and ``n`` samples seen."""
 
@@ -117,6 +121,7 @@ class Largest(NamedTuple):
     n: int
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class TopSamples:
     """The ``k`` largest samples with their indices, exact for any order of work. NaN counts as infinite; minus infinity
@@ -178,6 +183,7 @@ def _scalar(tally, values):
     return c
 
 
+@storable
 class ClampSums(NamedTuple):
     """Means over the samples at each threshold t, shape ``(thresholds, items...)``: of min(c, t) and (c - t)+ and of
     their squares."""
@@ -190,6 +196,7 @@ class ClampSums(NamedTuple):
     excess_square: np.ndarray
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class ClampLadder:
     """What clamping at each of a few thresholds leaves and takes away, for each integral of a family (each pixel).

@@ -47,6 +47,13 @@ class Progress:
         if self.bar is not None:
             self.bar.close()
 
+    def begin_at(self, samples):
+        """Say how many samples were there before: they count as done, but not for the rate."""
+        self.done = samples
+        if self.bar is not None:
+            self.bar.initial = self.bar.n = samples
+            self.bar.refresh()
+
     def update(self, samples):
         self.done += samples
         if self.bar is not None:

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from ..integration.storage import storable
 from .film_sums import FilmSums, recentred
 from .filters import Filter
 
@@ -59,6 +60,7 @@ class Placed:
         return Splat(light, u[0], u[1], args[-1])
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class Unplaced:
     """A tally of the radiance of splats, whatever their weights."""
@@ -79,10 +81,14 @@ class Unplaced:
     def add(self, state, record, where=..., **extra):
         self.tally.add(state, record, where, **extra)
 
+    def merge(self, a, b):
+        return self.tally.merge(a, b)
+
     def result(self, state):
         return self.tally.result(state)
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class Film:
     """The tally of an image with a filter: for each pixel the weighted mean of the samples around it and its error.
@@ -146,6 +152,10 @@ class Film:
 
     def add(self, state, record, where=...):
         state[0].add(record)
+
+    def merge(self, a, b):
+        a[0].merge(b[0])
+        return a
 
     def result(self, state):
         return [state[0].moments()]

@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..integration.moments import MomentsResult
+from ..integration.storage import storable
 
 
 def recentred(sums, step):
@@ -14,6 +15,7 @@ def recentred(sums, step):
     return sums[:2], wd + step * weight, wwd + step * ww, wdd + step * (2.0 * wwd + step * ww)
 
 
+@storable
 class FilmSums:
     """The sums of every pixel in float64, about a center of its own.
 

@@ -9,6 +9,7 @@ import math
 
 import jax.numpy as jnp
 
+from ..integration.storage import storable
 from .primitives import is_number
 
 WIDEST = 8.0  # pixels: the work for a sample grows with the square of the radius
@@ -37,6 +38,7 @@ class Filter:
         return max(0, math.ceil(self.radius - 0.5))
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class BoxFilter(Filter):
     """The plain mean over a square; with the default radius it is the pixel, as without a filter.
@@ -62,6 +64,7 @@ class BoxFilter(Filter):
         return (2.0 * self.radius) ** 2
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class TentFilter(Filter):
     """A product of two triangles: ``1 - |x| / radius`` along each axis.
@@ -87,6 +90,7 @@ class TentFilter(Filter):
         return float(self.radius) ** 2
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class MitchellFilter(Filter):
     """The cubic filters of D. Mitchell and A. Netravali, "Reconstruction Filters in Computer Graphics" (1988).
@@ -124,6 +128,7 @@ class MitchellFilter(Filter):
         return (self.radius / 2.0) ** 2
 
 
+@storable
 @dataclasses.dataclass(frozen=True)
 class GaussianFilter(Filter):
     """A product of two Gaussians, cut off; ``radius`` is ``cut * sigma``.

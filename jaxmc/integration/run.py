@@ -1,0 +1,171 @@
+"""A run: calls the kernel for the samples of an estimate, on all cores, and adds up records in the order of blocks."""
+
+import itertools
+import time
+from collections.abc import Iterator
+
+import jax
+import numpy as np
+
+from .. import backend
+from .estimate import Estimate
+from .kernel import LANES, ROWS, evaluate, item_jobs, stream_jobs
+from .moments import Moments
+from .parts import WHOLE, Part
+from .samplers import index_words, seed_words
+from .sums import Sums
+from .work import ordered_map
+
+
+def _as_array(x):
+    # Leave it on the host: a compiled function takes it from there in a twentieth of the time of ``jnp.asarray``.
+    return x if isinstance(x, jax.Array) else np.asarray(x)
+
+
+@jax.jit
+def _on_device(arrays):
+    return arrays
+
+
+class Run:
+    """One estimate in the making: what is computed, how the work is cut, and the ``sums`` so far.
+
+    Attributes:
+        items: number of integrals of the whole family, of which a ``part`` may be done here; None for a single one.
+        keeper: keeps the sums in a file, see ``checkpoint``; or None.
+    """
+
+    def __init__(
+        self, integrand, key, sampler, replicates, tallies, workers, blocks, rows=ROWS, kept=Moments(), items=None,
+        lanes=LANES, part: Part = WHOLE, view=None,
+    ):  # fmt: skip
+        backend.check_arithmetic()
+        if "moments" in (tallies or {}):
+            raise ValueError('the name "moments" is taken by the estimate itself; give your tally another name')
+        self.started, self.seconds_before = time.perf_counter(), 0.0
+        self.integrand, self.sampler, self.replicates = jax.tree.map(_as_array, integrand), sampler, replicates
+        self.seed = seed_words(key)
+        self.mesh = backend.mesh()
+        devices = self.mesh.size if self.mesh else 1
+        # Every device gets as many blocks; the last ones may be empty.
+        self.workers, self.blocks, self.rows = workers or backend.workers(), -(-blocks // devices) * devices, rows
+        self.items, self.lanes, self.part, self.keeper = items, lanes, part, None
+        about = {"key": key, "sampler": repr(sampler), **part.about}
+        count = items if part.chosen is None else len(part.chosen)
+        self.sums = Sums({"moments": kept, **(tallies or {})}, count, replicates, part.chosen, view, about)
+        self.used = 0  # randomisations
+
+    @property
+    def seconds(self):
+        """Wall time since the start, compilation included, and that of runs that this one goes on with."""
+        return self.seconds_before + time.perf_counter() - self.started
+
+    def points(self, n):
+        """Return how many points each randomisation gets, or all together, if there are to be ``n`` samples."""
+        return n if self.replicates is None else self.sampler.points(-(-n // self.replicates))
+
+    def total(self, n):
+        """Return how many samples there will be in all if ``n`` are asked for."""
+        points = self.points(n)
+        each = points * (self.replicates or 1)
+        if self.part.indices is not None:
+            self.part.check(each, points if self.replicates else 1)
+            each = len(self.part.indices)
+        return each * (self.sums.items or 1)
+
+    def stream(self, n, bar, deadline=np.inf) -> Estimate | None:
+        """Return an estimate of one integral from ``n`` samples: new points are added to independent ones, others are
+        drawn afresh. None if that took longer than ``deadline`` on the clock; independent samples are cut short then.
+        """
+        self.sums.goal, points = n, self.points(n)
+        complete = self._add(self._ranges(points), points, bar, deadline)
+        return self.estimate() if complete or self.replicates is None else None
+
+    def family(self, n, bar) -> Estimate:
+        """Return the estimate of a family of integrals from ``n`` samples each."""
+        *_, estimate = self.passes(n, bar, lambda ranges: [ranges])
+        return estimate
+
+    def passes(self, n, bar, cut) -> Iterator[Estimate]:
+        """Yield an estimate of a family after each list of ranges that ``cut`` makes of those of all its samples."""
+        points = self.points(n)
+        for some in cut(self._ranges(points)):
+            self._add(some, points, bar)
+            yield self.estimate()
+
+    def extend(self, integrand, start, stop, bar) -> Estimate:
+        """Add independent samples ``start <= s < stop`` of an integrand that may have other values of its params."""
+        if jax.tree.structure(integrand) != jax.tree.structure(self.integrand):
+            raise ValueError("the integrands of all passes must be alike but for the values of their params")
+        self.integrand = jax.tree.map(_as_array, integrand)
+        self._add([(0, start, stop)], stop, bar)
+        return self.estimate()
+
+    def estimate(self) -> Estimate:
+        self.sums.seconds = self.seconds
+        return self.sums.estimate()
+
+    def _ranges(self, points):
+        """Return the samples to add: those that are missing, or new randomisations, for which others are forgotten."""
+        if self.sums.pending:
+            return self.sums.pending[0]
+        if self.replicates is None:
+            return [self.part.of(0, self.sums.n, points)]
+        ranges = self.part.replicates(self.used, self.replicates, points)
+        self.sums.forget()
+        self.sums.first, self.sums.replicates = ranges[0][0], len(ranges)
+        self.used += self.replicates
+        # Independent points know no randomisations: give each replicate of a family samples of its own.
+        apart = self.items and self.sampler.independent
+        return [(r, r * points, (r + 1) * points) if apart else (r, 0, points) for r, *_ in ranges]
+
+    def _jobs(self, ranges, done) -> Iterator:
+        if self.items is None:
+            return stream_jobs(ranges, self.blocks, self.rows, self.lanes, done)
+        independent = self.sampler.independent
+        return item_jobs(ranges, self.items, self.blocks, self.lanes, independent, done, self.part.chosen)
+
+    def kernel_arguments(self, points):
+        """Return what every call of the kernel gets: its arrays, and what is compiled into it."""
+        given = self.integrand, self.sampler.tables(points, self.integrand.dim), self.seed
+        static = {"sampler": self.sampler, "tallies": tuple(self.sums.tallies.items()), "each": bool(self.items)}
+        return given, static
+
+    def _add(self, ranges, points, bar, deadline=np.inf) -> bool:
+        """Add the samples of ``ranges``, or what is left of them; return whether there was the time for all."""
+        sums, x64 = self.sums, jax.config.jax_enable_x64
+        (given, static), sums.points = self.kernel_arguments(points), points
+        sums.pending = sums.pending or (list(ranges), 0)
+
+        def call(job):
+            return evaluate(*given, index_words(job.base), job.offset, job.rows, **static, mesh=self.mesh)
+
+        def records_of(job):
+            # Drop the blocks that want no samples: they are the last ones, and their records are empty.
+            blocks = np.count_nonzero(job.rows.any(axis=1))
+            # Threads do not inherit the precision that a ``with`` block has set.
+            with jax.enable_x64(x64):
+                records, example = call(job)
+                return job, blocks, jax.tree.map(lambda x: np.asarray(x)[:blocks], records), example
+
+        jobs = self._jobs(*sums.pending)
+        begin = list(itertools.islice(jobs, 2))
+        if len(begin) < 2:
+            results = map(records_of, begin)  # no threads for a single call
+        else:
+            given = _on_device(given)
+            # Compile once, on a job that wants no samples.
+            if not sums.states:
+                sums.begin(*call(begin[0]._replace(rows=np.zeros_like(begin[0].rows))))
+            results = ordered_map(records_of, itertools.chain(begin, jobs), self.workers)
+        for job, blocks, records, example in results:
+            sums.begin(records, example)
+            sums.add(records, job)
+            sums.pending = sums.pending[0], sums.pending[1] + blocks
+            bar.update(job.samples)
+            if self.keeper:
+                self.keeper.after_job()
+            if time.perf_counter() > deadline:
+                return False
+        sums.ranges, sums.pending = sums.ranges + sums.pending[0], None
+        return True
