@@ -20,7 +20,7 @@ class Views(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Pieces of curves as arrays: where they start, their length on the sphere of directions, and how much of that is in
+    """Pieces of curves as arrays: where they start, their length on the sphere of directions, and how much of it is in
     a unit of the angle that ``start`` is measured in.
     """
 

@@ -9,7 +9,7 @@ from .checkpoint import keep
 from .counts import positive
 from .estimate import Estimate
 from .integrand import Integrand, as_integrand
-from .kernel import BLOCK, CHUNK, LANES, ROWS, lanes_for
+from .kernel import BLOCK, CHUNK, LANES, ROWS, TOGETHER, lanes_for
 from .moments import Moments
 from .parts import WHOLE, Part, part
 from .run import Run
@@ -65,7 +65,9 @@ def integrate(
     target = stopping.target(n, rtol, atol, max_n, max_seconds)
     n = n if n is None else positive("n", n)
     blocks, rows, lanes = blocks_of(chunk), ROWS, LANES
-    if n is not None and replicates and n // replicates < SMALL * SMALL_LANES:
+    if integrand.together:
+        lanes = TOGETHER
+    elif n is not None and replicates and n // replicates < SMALL * SMALL_LANES:
         blocks, rows, lanes = max(blocks, min(replicates, MOST_BLOCKS)), SMALL, SMALL_LANES
     run = Run(integrand, key, sampler, replicates, tallies, workers, blocks, rows, lanes=lanes, part=some)
     with Progress(progress, run.total(n) if n is not None else None) as bar:

@@ -12,7 +12,9 @@ from jax import lax
 from .counts import positive
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["params"], meta_fields=["fn", "dim", "lazy", "labels"])
+@partial(
+    jax.tree_util.register_dataclass, data_fields=["params"], meta_fields=["fn", "dim", "lazy", "labels", "together"]
+)
 @dataclasses.dataclass(frozen=True)
 class Integrand:
     """A function ``fn(u, *params)`` of one point ``u`` in (0, 1)^dim, to be integrated over the unit hypercube.
@@ -28,6 +30,9 @@ class Integrand:
         lazy: ``fn`` uses ``u`` by ``u[k]`` only. Then it gets a point that computes coordinates when they are asked
             for, which saves time and memory in many dimensions; otherwise it gets an array of shape ``(dim,)``.
         labels: what each coordinate decides, ``dim`` words or none.
+        together: the driver calls ``fn(each, *params)`` once for a row of samples; ``each(f)`` are the values of
+            ``f(u)`` at all of their points, and ``fn`` returns the mean of what it makes of them. For what is cheaper
+            to make of many samples than of one: a derivative in reverse mode. Such an integrand is not called.
 
     Raises:
         ValueError: ``fn`` is not callable, or ``dim`` is not a positive integer.
@@ -38,6 +43,7 @@ class Integrand:
     params: tuple = ()
     lazy: bool = False
     labels: tuple[str, ...] = ()
+    together: bool = False
 
     def __post_init__(self):
         if not callable(self.fn):

@@ -23,6 +23,7 @@ LANES = 1920
 ROWS = 32
 VECTOR = 64  # a number of lanes that vector code divides evenly
 BLOCK = ROWS * LANES
+TOGETHER = 1024  # lanes of samples that are worked on together: powers of two divide randomised points evenly
 CHUNK = 1 << 18  # samples to a kernel call: long against the cost of a call, short against a progress bar
 
 
@@ -110,11 +111,13 @@ def lanes_for(items):
     return -(-evenly // VECTOR) * VECTOR
 
 
-def value_shape(integrand, point, each):
-    """Return shape and dtype of every leaf of a value; ``point`` makes one from an index."""
-    word = jax.ShapeDtypeStruct((), jnp.uint32)
-    item = (word,) if each else ()
-    return jax.eval_shape(lambda index, *item: integrand.at(point(index), *item), Index(word, word), *item)
+def mean_of_row(integrand, point, index, word_axes):
+    """Return the value of an integrand whose samples are worked on together, and its leading axis 1."""
+
+    def each(f):
+        return jax.vmap(lambda i: f(point(i)), in_axes=(word_axes,), axis_name=SAMPLES)(index)
+
+    return jax.tree.map(lambda x: jnp.asarray(x)[None], integrand.fn(each, *integrand.params))
 
 
 def _indices_of_row(base, offset, independent, each):
@@ -161,7 +164,13 @@ def _evaluate(integrand, tables, seed, base, offset, rows, sampler, tallies, eac
     def point(index):
         return sampler.point(seed, index, *tables)
 
-    shape = value_shape(integrand, point, each)
+    def value_of_row(base, offset):
+        index, word_axes = _indices_of_row(base, offset, sampler.independent, each)
+        if integrand.together:
+            return mean_of_row(integrand, point, index, word_axes)
+        return values_of_row(integrand, point, index, word_axes, (offset,) if each else (), SAMPLES)
+
+    shape = jax.eval_shape(value_of_row, base[0, 0], offset[0])
 
     def block(args):
         empty = _zeros(jax.eval_shape(records, *args))
@@ -169,15 +178,13 @@ def _evaluate(integrand, tables, seed, base, offset, rows, sampler, tallies, eac
 
     def records(base, offset, rows):
         def evaluate_row(r, values):
-            index, word_axes = _indices_of_row(base[r], offset, sampler.independent, each)
-            value = values_of_row(integrand, point, index, word_axes, (offset,) if each else (), SAMPLES)
-            return jax.tree.map(lambda all_rows, x: all_rows.at[r].set(x), values, value)
+            return jax.tree.map(lambda all_rows, x: all_rows.at[r].set(x), values, value_of_row(base[r], offset))
 
-        valid = jnp.arange(len(base))[:, None] < rows
-        values = lax.fori_loop(0, rows.max(), evaluate_row, _zeros(shape, valid.shape))
+        valid = jnp.arange(len(base))[:, None] < (rows.min(keepdims=True) if integrand.together else rows)
+        values = lax.fori_loop(0, rows.max(), evaluate_row, _zeros(shape, (len(base),)))
         return {name: tally.reduce(values, valid, axes) for name, tally in tallies}
 
-    return lax.map(block, (base, offset, rows)), _zeros(shape)
+    return lax.map(block, (base, offset, rows)), jax.tree.map(lambda x: jnp.zeros(x.shape[1:], x.dtype), shape)
 
 
 def _zeros(shapes, leading=()):

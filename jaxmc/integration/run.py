@@ -62,7 +62,10 @@ class Run:
 
     def points(self, n):
         """Return how many points each randomisation gets, or all together, if there are to be ``n`` samples."""
-        return n if self.replicates is None else self.sampler.points(-(-n // self.replicates))
+        # Samples that are worked on together come in whole rows.
+        whole = self.lanes if self.integrand.together else 1
+        points = -(-n // ((self.replicates or 1) * whole)) * whole
+        return points if self.replicates is None else self.sampler.points(points)
 
     def total(self, n):
         """Return how many samples there will be in all if ``n`` are asked for."""
