@@ -21,7 +21,7 @@ PARTS = ("direct", "indirect")
 def test_closed_forms_are_what_is_estimated(scene):
     exact, slopes = scene.truth()
     assert np.isfinite(exact) and all(np.all(np.isfinite(d)) for d in slopes.values())
-    found = mc.integrate(scene.integrand(scene.params), n=1 << 12, sampler=mc.Sobol(), replicates=16)
+    found = mc.integrate(scene.integrand(scene.params), n=1 << 16, sampler=mc.Sobol(), replicates=16)
     assert_unbiased(found, exact, rel_precision=0.01)
 
 
