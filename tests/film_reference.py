@@ -138,4 +138,3 @@ def _stacked(v):
 
 def _unit(v):
     return v / jnp.sqrt(v @ v)
-

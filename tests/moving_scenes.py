@@ -10,10 +10,10 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import film_reference as film
 import jax.numpy as jnp
 import numpy as np
 
-import film_reference as film
 import jaxmc as mc
 from analytic_scenes import moving
 from analytic_scenes.scene import value_and_derivatives

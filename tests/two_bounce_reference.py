@@ -6,8 +6,9 @@ The camera stands lower than the blocker, looks down at an angle, and sees the f
 radiance over its film, by the number of bounces:
 
 * direct: camera, floor, lamp. At a point the visible part of the lamp is a polygon less a polygon, and its irradiance
-  is Lambert's formula. That has kinks on the floor where the shadow of an edge meets a corner, which are straight lines;
-  the film is cut along all of them, and Gauss and Legendre's rule integrates over the pieces, where all is smooth.
+  is Lambert's formula. That has kinks on the floor where the shadow of an edge meets a corner. These are straight
+  lines; the film is cut along all of them, and Gauss and Legendre's rule integrates over the pieces, where all is
+  smooth.
 * indirect: camera, floor, wall, lamp. The same over the wall: for each of its points the irradiance, times an integral
   over what that point sees of the floor on the film, again a polygon less a polygon.
 
@@ -282,7 +283,9 @@ def over_triangles(triangles, order):
     weight = np.outer(weight, weight).ravel() * 0.25 * v
     a, b, c = (triangles[..., k, None, :] for k in range(3))
     nodes = a + ((b - a) * (1.0 - u)[:, None] + (c - a) * u[:, None]) * v[:, None]
-    sides = np.stack([triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :]], axis=-2)
+    sides = np.stack(
+        [triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :]], axis=-2
+    )
     weights = np.abs(np.linalg.det(sides))[..., None] * weight
     shape = triangles.shape[:-3]
     return nodes.reshape(*shape, -1, 2), weights.reshape(*shape, -1)
@@ -296,7 +299,9 @@ def main():
         name: {"value": value, "derivatives": {k: float(v[i]) for k, v in slopes.items()}}
         for i, (name, value) in enumerate((("direct", direct), ("indirect", indirect)))
     }
-    TABLE.write_text(json.dumps({"source": "tests/two_bounce_reference.py", "params": PARAMS, **parts}, indent=1) + "\n")
+    TABLE.write_text(
+        json.dumps({"source": "tests/two_bounce_reference.py", "params": PARAMS, **parts}, indent=1) + "\n"
+    )
 
 
 if __name__ == "__main__":
