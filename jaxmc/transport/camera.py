@@ -6,10 +6,11 @@ from functools import partial
 from typing import Any, ClassVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..integration.counts import positive
-from .primitives import as_vec3, is_concrete, is_number
+from .primitives import as_vec3, is_concrete, is_number, shape_of
 from .rays import Ray, ray
 from .vec import Vec3, cross, dot, normalize
 
@@ -67,7 +68,7 @@ def PinholeCamera(
     given = dict(locals())
     for name, value in (("width", width), ("height", height)):
         positive(f"PinholeCamera {name}", value, most=1 << 15)
-    if not (is_number(fov) and 0.0 < fov < 180.0):
+    if not ((is_number(fov) and 0.0 < fov < 180.0) or (shape_of(fov) == () and not is_concrete(fov))):
         raise ValueError(f"PinholeCamera fov must lie between 0 and 180 degrees, got {fov!r}")
     if not isinstance(antialias, bool):
         raise ValueError(f"PinholeCamera antialias must be True or False, got {antialias!r}")
@@ -82,7 +83,7 @@ def PinholeCamera(
         )
     forward = forward / dot(forward, forward) ** 0.5
     right = right / dot(right, right) ** 0.5
-    tangent = math.tan(math.radians(float(fov)) / 2.0)
+    tangent = math.tan(math.radians(float(fov)) / 2.0) if is_number(fov) else jnp.tan(fov * (math.pi / 360.0))
     down = cross(forward, right) * tangent
     right = right * (tangent * width / height)
     vectors: Any = [
