@@ -305,7 +305,8 @@ def test_known_mistakes_are_found(monkeypatch, wrong):
         monkeypatch.setattr(shadows, "flow", lambda face, point, wi, distance: Flowed(wi, wi, 1.0))
         family = FAMILIES["shadow of a half plane"]
         with pytest.raises(AssertionError):
-            check(run(half_plane, family.arguments), family.derivatives, 0.01)
+            # A function of its own, or a kernel without the mistake is found again.
+            check(run(lambda p: half_plane(p), family.arguments), family.derivatives, 0.01)
 
 
 def test_what_is_not_covered_is_said():
