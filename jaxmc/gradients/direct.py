@@ -30,7 +30,7 @@ def direct_irradiance(scene: Scene, point, normal, *, pick="uniform", light_poin
     The value is that of ``mc.irradiance(..., bounces=0)``. Its derivative in ``mc.grad_integrate`` holds with respect
     to whatever the scene, ``point`` and ``normal`` are made of: radiances, places, sizes, orientations of lights and
     of blockers. The interior keeps every sample at its place on the light; the boundary has the silhouettes of
-    spheres, quads, triangles and boxes before lights and sky, each once, so moving shadows are complete.
+    spheres, quads, triangles, disks and boxes before lights and sky, each once, so moving shadows are complete.
 
     What is not covered is said in ``flags``: primitives that pass through each other, edges that overlap in part.
     Primitives that share an edge count as one surface, and must move together.
@@ -79,7 +79,7 @@ def _direct(scene, receiver, place, words, strategy):
     words += ("sky: first", "sky: second") if scene.sky is not None else ()
     interior = Integrand(_Direct(strategy, receiver), len(words), (scene, faces, emission, *place), True, words)
     found, flags = silhouettes(outlines, scene.owner)
-    if found.known and not (found.edges or found.spheres):
+    if found.known and not (found.edges or found.spheres or found.disks):
         return WithBoundary(interior, None, flags)
     around = _AtReceiver(ShadowEdges(found, lamps_of(scene, primitives)), receiver)
     boundary = Integrand(around, len(edge), (scene, faces, emission, scene.sky, *place), True, edge)

@@ -8,9 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..transport.primitives import Sphere
 from ..transport.sky import sky_radiance
 from ..transport.vec import Vec3, cross, dot, larger, where
 from .arcs import edge_arcs, ends_of, rim_arcs, view_edges, view_rims
+from .disks import ball_around, on_rim, rim_point, view_disks
 from .flows import Faces, flow, motion, one_of, still
 from .silhouettes import Silhouettes
 
@@ -27,12 +29,13 @@ class Lamp(NamedTuple):
 
 class Place(NamedTuple):
     """A point on a silhouette: direction and distance from where it is seen, unit normal of the curve from what is in
-    front to what lies behind, and the point itself, which moves."""
+    front to what lies behind, the point itself, which moves, and the length of the curve to what it was drawn by."""
 
     wi: Vec3
     distance: Any
     away: Vec3
     point: Vec3
+    stretch: Any
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +65,7 @@ class ShadowEdges:
         place, skip, lamp = self._place(choice, fixed, faces, x)
         target = jnp.asarray([max(k.face, 0) for k in self.lamps])[lamp]
         is_sky = jnp.asarray([k.face == SKY for k in self.lamps])[lamp]
-        distances = _distances(fixed, np.array(self.found.triangles), x, place.wi)
+        distances = _distances(fixed, self.found, x, place.wi)
         reached, distance = self._reaches(distances, fixed, x, place, skip, lamp, target, is_sky, own)
         reached = reached & (density > 0.0)
         # Keep what is not used finite, or the chain rule makes it NaN.
@@ -72,7 +75,8 @@ class ShadowEdges:
         behind = where(is_sky, place.wi, behind)
         away = (place.point - point) * jnp.where(reached, 1.0 / jnp.where(reached, place.distance, 1.0), 0.0)
         h = jnp.where(reached, dot(place.away, away) - dot(place.away, behind), 0.0)
-        weight = jnp.where(reached, -larger(dot(n, place.wi), 0.0) / jnp.where(density > 0.0, density, 1.0), 0.0)
+        length = place.stretch / jnp.where(density > 0.0, density, 1.0)
+        weight = jnp.where(reached, -larger(dot(n, place.wi), 0.0) * length, 0.0)
         light = still(_radiance(emission, sky, target, is_sky, place.wi))
         value = light * (still(weight) * motion(h))
         return jnp.stack(value) if isinstance(value, Vec3) else value
@@ -80,10 +84,12 @@ class ShadowEdges:
     def _choose(self, u, fixed, x, n):
         """Return the number of a silhouette and light, where on it, and the density by angle."""
         starts, lengths, rates = [], [], []
-        edges, rims = self._views(fixed, x)
+        edges, rims, disks = self._views(fixed, x)
         for lamp in self.lamps:
             target = None if lamp.face == SKY else fixed.at(lamp.face)
-            shape = None if target is None or lamp.face in self.found.spheres else self.found.triangles[lamp.face]
+            target = ball_around(target) if lamp.face in self.found.disks else target
+            is_round = lamp.face in (*self.found.spheres, *self.found.disks)
+            shape = None if target is None or is_round else self.found.triangles[lamp.face]
             if edges is not None:
                 arcs = edge_arcs(edges, n, target, x, shape)
                 mine = np.array([self._is_own(lamp, e.faces) for e in self.found.edges])
@@ -96,6 +102,11 @@ class ShadowEdges:
                 starts.append(arcs.start)
                 lengths.append(jnp.where(mine, 0.0, arcs.length))
                 rates.append(rims.sine)
+            if disks is not None:
+                mine = np.array([self._is_own(lamp, (f,)) for f in self.found.disks])
+                starts.append(jnp.zeros_like(disks.size))
+                lengths.append(jnp.where(mine, 0.0, 2.0 * np.pi * disks.size))
+                rates.append(disks.size)
         start, length, rate = map(jnp.concatenate, (starts, lengths, rates))
         upto = jnp.cumsum(length)
         total, aim = upto[-1], u * upto[-1]
@@ -106,7 +117,8 @@ class ShadowEdges:
 
     def _views(self, fixed, x):
         edges = view_edges(self.found, fixed, x) if self.found.edges else None
-        return edges, view_rims(self.found, fixed, x) if self.found.spheres else None
+        rims = view_rims(self.found, fixed, x) if self.found.spheres else None
+        return edges, rims, view_disks(self.found, fixed, x) if self.found.disks else None
 
     def _is_own(self, lamp, faces):
         owner = self.found.owner
@@ -115,9 +127,9 @@ class ShadowEdges:
     def _place(self, choice, fixed, faces, x):
         """Return the chosen point, the faces that its primitives have, and the light."""
         which, angle = choice
-        count, balls = len(self.found.edges), len(self.found.spheres)
-        lamp, k = which // (count + balls), which % (count + balls)
-        edges, rims = self._views(fixed, x)
+        count, balls, rounds = (len(curves) for curves in (self.found.edges, self.found.spheres, self.found.disks))
+        lamp, k = which // (count + balls + rounds), which % (count + balls + rounds)
+        edges, rims, disks = self._views(fixed, x)
         cosine, sine = jnp.cos(angle), jnp.sin(angle)
         places = []
         if edges is not None:
@@ -130,24 +142,31 @@ class ShadowEdges:
             t = -dot(e.to_start, side) / jnp.where(slope != 0.0, slope, 1.0)
             start, stop = (one_of(end, i) for end in ends_of(self.found, faces))
             distance = dot(e.to_start + along * t, wi)
-            places.append(Place(wi, distance, e.normal, start + (stop - start) * still(t)))
+            places.append((k < count, Place(wi, distance, e.normal, start + (stop - start) * still(t), 1.0)))
         if rims is not None:
             i = jnp.clip(k - count, 0, balls - 1)
             r = jax.tree.map(lambda a: a[i], rims)
             around = r.tangent * cosine + r.bitangent * sine
             wi, away = r.axis * r.cosine + around * r.sine, around * r.cosine - r.axis * r.sine
             ball = faces.at(jnp.asarray(self.found.spheres)[i])
-            places.append(Place(wi, r.distance, away, ball.center + away * ball.radius))
-        is_edge = k < count
-        place = places[0]
-        if len(places) == 2:
-            place = jax.tree.map(lambda a, b: jnp.where(is_edge, a, b), *places)
+            places.append((k < count + balls, Place(wi, r.distance, away, ball.center + away * ball.radius, 1.0)))
+        if disks is not None:
+            i = jnp.clip(k - count - balls, 0, rounds - 1)
+            seen, disk = (
+                rim_point(jax.tree.map(lambda a: a[i], disks), angle),
+                faces.at(jnp.asarray(self.found.disks)[i]),
+            )
+            point = disk.center + on_rim(disk.half_u, disk.half_v, angle)
+            places.append((True, Place(seen.wi, seen.distance, seen.away, point, seen.stretch)))
+        _, place = places.pop()
+        for is_it, other in reversed(places):
+            place = jax.tree.map(lambda a, b, is_it=is_it: jnp.where(is_it, a, b), other, place)
         return place, jnp.asarray(self._primitives())[k], lamp
 
     def _primitives(self):
         """Return for each silhouette which faces belong to the primitives that make it."""
         owner = self.found.owner
-        groups = [*(e.faces for e in self.found.edges), *((f,) for f in self.found.spheres)]
+        groups = [*(e.faces for e in self.found.edges), *((f,) for f in (*self.found.spheres, *self.found.disks))]
         return np.array([[o in {owner[f] for f in faces} for o in owner] for faces in groups])
 
     def _reaches(self, distances, fixed, x, place, skip, lamp, target, is_sky, own):
@@ -178,7 +197,7 @@ def _radiance(emission, sky, target, is_sky, wi):
     return where(is_sky, sky_radiance(sky, wi), light)
 
 
-def _distances(faces, triangles, x, wi):
+def _distances(faces, found, x, wi):
     """Return how far every face is along a ray, infinite for a miss."""
     to = faces.center - x
     normal = cross(faces.half_u, faces.half_v)
@@ -189,7 +208,10 @@ def _distances(faces, triangles, x, wi):
     inverse = 1.0 / jnp.where(squared > 0.0, squared, 1.0)
     u = dot(cross(offset, faces.half_v), normal) * inverse
     v = dot(cross(faces.half_u, offset), normal) * inverse
-    hit = (jnp.abs(u) <= 1.0) & (jnp.abs(v) <= 1.0) & (flat > 0.0) & (speed != 0.0) & ~(triangles & (u + v > 0.0))
+    hit = (jnp.abs(u) <= 1.0) & (jnp.abs(v) <= 1.0) & (flat > 0.0) & (speed != 0.0)
+    hit = hit & ~(np.array(found.triangles) & (u + v > 0.0))
+    if found.disks:
+        hit = hit & ~(np.isin(np.arange(len(found.owner)), found.disks) & (u * u + v * v > 1.0))
     nearest = dot(to, wi)
     aside = to - wi * nearest
     chord2 = faces.radius * faces.radius - dot(aside, aside)
@@ -205,7 +227,7 @@ def lamps_of(scene, primitives) -> tuple[Lamp, ...]:
     lamps = []
     for face in sorted(set(scene.lights)):
         p = primitives[scene.owner[face]]
-        inward = hasattr(p, "radius") and p.inward
+        inward = isinstance(p, Sphere) and p.inward
         lamps.append(Lamp(face, p.two_sided or not inward, p.two_sided or inward))
     if scene.sky is not None:
         lamps.append(Lamp(SKY, True, True))
