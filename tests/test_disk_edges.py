@@ -132,7 +132,8 @@ def tilted_light(p):
     return at_origin(light, point=p["point"], normal=p["facing"])
 
 
-@pytest.mark.parametrize("is_light", [pytest.param(True, marks=SLOW), False], ids=["light", "blocker"])
+@SLOW
+@pytest.mark.parametrize("is_light", [True, False], ids=["light", "blocker"])
 def test_a_tilted_disk_by_all_its_numbers_and_the_receivers(is_light):
     value, exact = value_and_derivatives(along_the_rim, **TILTED)
     assert value > 0.1
@@ -235,7 +236,7 @@ def test_the_check_rejects_a_mutant(mutate, monkeypatch):
     monkeypatch.setattr(shadows, "rim_point", mutate(disks.rim_point))
     exact = {"radius": -np.asarray(value_and_derivatives(along_the_rim, **TILTED)[1]["radius"])}
     found = derivatives(lambda p: before_the_sky({**TILTED, **p}), {"radius": TILTED["radius"]})
-    with pytest.raises(AssertionError, match="^radius is off"):
+    with pytest.raises(AssertionError, match=r"^radius is off"):
         check(found, exact)
 
 

@@ -40,6 +40,7 @@ def test_a_disk_light_gives_what_the_closed_form_says(lights):
     check(irradiance(lamp(), lights=lights))
 
 
+@SLOW
 def test_a_light_over_its_receiver():
     scene = mc.Scene([mc.Disk((0, 0, 2.0), (0, 0, -1), 0.5, BLACK, 5.0)])
     integrand = mc.irradiance(scene, (0, 0, 0), (0, 0, 1), bounces=0, lights="nee")
@@ -64,6 +65,7 @@ def test_a_blocker_hides_what_is_behind_it():
     check(mc.irradiance(mc.Scene([light, blocker]), (0, 0, 0), (0, 0, 1), bounces=0, lights="mis"), float(exact))
 
 
+@SLOW
 def test_a_white_disk_under_a_white_sky():
     # What it receives it sends on, and it does not see itself: albedo times sky, whatever the number of events.
     scene = mc.Scene([mc.Disk(HOLE, UP, 0.7, mc.Diffuse(0.5))], sky=2.0)
