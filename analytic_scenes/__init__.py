@@ -74,7 +74,7 @@ from analytic_scenes.irradiance import (
     sphere_irradiance,
     standing_rectangle_irradiance,
 )
-from analytic_scenes.lights import light_solid_angle, rectangle_light, sphere_light
+from analytic_scenes.lights import disk_light, light_solid_angle, rectangle_light, sphere_light
 from analytic_scenes.lit_surfaces import ball_in_sunlight, ceiling_lamp, orb_over_floor, sphere_light_over_rectangle
 from analytic_scenes.mirror_balls import mirror_ball_caustic, sphere_light_in_mirror_ball
 from analytic_scenes.mirror_rooms import sphere_light_between_mirrors, sphere_light_in_corner
@@ -163,6 +163,7 @@ __all__ = [
     "critical_roulette_albedo",
     "cube_furnace",
     "disk_coverage",
+    "disk_light",
     "disk_mollifier",
     "disk_of_ball_under_zonal_sky",
     "eclipsed_solid_angle",

@@ -2,7 +2,7 @@
 
 A set of directions is a ``Nodes``: unit vectors with the solid angle that each stands for. Those of a cap, a hemisphere
 or a lune integrate polynomials of the direction to rounding, up to the degree that a fourth moment needs; those of a
-parallelogram integrate its smooth kernel to rounding unless it is much larger than it is far away.
+parallelogram or a disk integrate its smooth kernel to rounding unless it is much larger than it is far away.
 
 All sets lie above the horizon of the receiver, whose unit normal is ``normal``.
 """
@@ -65,7 +65,7 @@ def law_of_directions(strategy: str, normal, pieces) -> Law:
 
 
 def law_of_light(normal, nodes: Nodes, radiance: float) -> Law:
-    """Return the law of irradiance by light sampling: a sphere by solid angle, a parallelogram by area."""
+    """Return the law of irradiance by light sampling: a sphere by solid angle, a parallelogram or a disk by area."""
     values = radiance * (nodes.directions @ normal) * nodes.solid_angles / nodes.shares
     return law_of_values([nodes.shares], [values])
 
@@ -133,6 +133,17 @@ def parallelogram_nodes(corner, edge_u, edge_v, order: int = 48) -> Nodes:
     distance = np.linalg.norm(targets, axis=1)
     volume = abs(np.cross(u, v) @ corner)  # area times distance to the plane
     return Nodes(targets / distance[:, None], volume / distance**3 * shares, shares)
+
+
+def disk_nodes(radius: float, height: float, offset: float, order: int = 48) -> Nodes:
+    """Return the directions that a level disk fills, its centre at (offset, 0, height), seen from the origin."""
+    points, weights = np.polynomial.legendre.leggauss(order)
+    away = radius * np.sqrt(np.repeat((1.0 + points) / 2.0, 2 * order))
+    azimuth = np.tile(math.pi * np.arange(2 * order) / order, order)
+    targets = np.stack([offset + away * np.cos(azimuth), away * np.sin(azimuth), np.full(len(away), height)], axis=1)
+    shares = np.repeat(weights / 2.0, 2 * order) / (2 * order)
+    distance = np.linalg.norm(targets, axis=1)
+    return Nodes(targets / distance[:, None], math.pi * radius**2 * height / distance**3 * shares, shares)
 
 
 def of_parallelogram(law: Callable[[Nodes], Law | None], corner, edge_u, edge_v) -> Law | None:

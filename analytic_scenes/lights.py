@@ -16,11 +16,12 @@ import numpy as np
 
 import jaxmc as mc
 from analytic_scenes import irradiance as closed_form
-from analytic_scenes import laws
+from analytic_scenes import laws, moving
 from analytic_scenes.lone_receiver import (
     POLYGON_SOURCE,
     SPHERE_SOURCE,
     UP,
+    black_disk,
     black_quad,
     black_sphere,
     closed_form_scene,
@@ -48,6 +49,8 @@ def default_scenes() -> tuple[AnalyticScene, ...]:
         rectangle_light(),
         rectangle_light(**wall, normal=UP, lights="none"),
         rectangle_light(**near, normal=UP, lights="none", directions="uniform"),
+        disk_light(),
+        disk_light(radius=1.5, height=0.6, lights="none"),
         light_solid_angle(),
     )
 
@@ -122,6 +125,43 @@ def rectangle_light(
         normal=normal,
         strategy=strategy,
         view=plate_view([black_quad(**light, emission=emission)], normal, size=float(np.abs(vertices(**light)).max())),
+    )
+
+
+def disk_light(
+    emission: float = 5.0,
+    radius: float = 0.5,
+    height: float = 2.0,
+    offset: float = 0.7,
+    *,
+    directions: str = "cosine",
+    lights: str = "nee",
+) -> AnalyticScene:
+    """Return the irradiance from a level disk that shines down, its centre at ``height`` and ``offset`` to the side.
+
+    Raises ``ValueError`` where it is not above the receiver.
+    """
+    if not (height > 0 and radius > 0):
+        raise ValueError(f"the disk must be above the receiver: height, radius > 0; got {height} and {radius}")
+    strategy = {"bounces": 0, "directions": directions, "lights": lights}
+    light = black_disk((offset, 0.0, height), (0.0, 0.0, -1.0), radius, emission)
+
+    def law(exact):
+        return laws.converged(
+            lambda order: law_of_lamp(strategy, exact, emission, laws.disk_nodes(radius, height, offset, order)), 32
+        )
+
+    return receiver_scene(
+        f"disk light, {described(strategy)}",
+        moving.disk_over_receiver,
+        {"emission": emission, "radius": radius, "height": height, "offset": offset},
+        [light],
+        "Howell, A catalog of radiation heat transfer configuration factors, section B-14",
+        geometry=f"A level disk of radius {radius:g} shines down on a point {height:g} below it, {offset:g} off its "
+        "axis.",
+        law=law,
+        strategy=strategy,
+        view=plate_view([light], size=max(height, abs(offset) + radius)),
     )
 
 

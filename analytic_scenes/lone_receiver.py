@@ -117,6 +117,9 @@ def plate_view(primitives, normal=UP, *, size: float = 3.0, sky=0.02, eye=(0.5, 
 def _lowest(primitive, normal):
     if isinstance(primitive, mc.Sphere):
         return np.dot(primitive.center, normal) - primitive.radius
+    if isinstance(primitive, mc.Disk):
+        tilt = np.linalg.norm(np.cross(unit(primitive.normal), normal))
+        return np.dot(primitive.center, normal) - primitive.radius * tilt
     return (vertices(primitive.corner, primitive.edge_u, primitive.edge_v) @ normal).min()
 
 
@@ -132,6 +135,10 @@ def vertices(corner, edge_u, edge_v) -> np.ndarray:
 
 def black_sphere(center, radius, emission=None) -> mc.Sphere:
     return mc.Sphere(center, radius, material=BLACK, emission=emission)
+
+
+def black_disk(center, normal, radius, emission=None) -> mc.Disk:
+    return mc.Disk(center, normal, radius, material=BLACK, emission=emission)
 
 
 def black_quad(corner, edge_u, edge_v, emission=None) -> mc.Quad:

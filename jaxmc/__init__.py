@@ -94,6 +94,7 @@ from .transport.occlusion import ambient_occlusion as ambient_occlusion
 from .transport.path_parts import part_names as part_names
 from .transport.path_parts import path_parts as path_parts
 from .transport.primitives import Box as Box
+from .transport.primitives import Disk as Disk
 from .transport.primitives import Quad as Quad
 from .transport.primitives import Sphere as Sphere
 from .transport.primitives import Triangle as Triangle

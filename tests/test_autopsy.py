@@ -115,8 +115,10 @@ def test_outlines_of_all_shapes():
         mc.Sphere((1, 2, 3), 0.5),
         mc.Quad((0, 0, 0), (1, 0, 0), (0, 0, 2)),
         mc.Triangle((0, 0, 0), (1, 0, 0), (0, 1, 0)),
+        mc.Disk((1, 2, 3), (0, 2, 0), 0.5),
         mc.Box((0, 0, 0), (2, 4, 6)),
     ]
-    ball, quad, triangle, *box = outlines(mc.Scene(shapes), (0, 2))
+    ball, quad, triangle, disk, *box = outlines(mc.Scene(shapes), (0, 2))
     assert np.allclose(np.hypot(*(ball - [1, 3]).T), 0.5) and np.allclose(quad.max(0), [1, 2])
+    assert np.allclose(np.hypot(*(disk - [1, 3]).T), 0.5) and np.allclose(disk[0], disk[-1])
     assert len(triangle) == 4 and np.allclose(np.abs(np.concatenate(box)), [1, 3])

@@ -7,6 +7,7 @@ import pytest
 
 import analytic_scenes
 import jaxmc as mc
+from analytic_scenes import moving
 from analytic_scenes.roulette import roulette_furnace
 from jaxmc.testing import SPHERE, assert_equivalent, assert_jacobian, assert_samples_pdf, assert_unbiased
 from jaxmc.transport import lights, paths, sky
@@ -18,7 +19,7 @@ PICKS = ("uniform", "power", "distance")
 
 
 def lamps(count):
-    """Return quads and triangles over the origin that do not hide each other, each with its exact irradiance there."""
+    """Return quads, triangles and disks over the origin that do not hide each other, and the exact irradiance there."""
     rng = np.random.default_rng(7)
     primitives, exact = [], 0.0
     for k in range(count):
@@ -28,6 +29,11 @@ def lamps(count):
         if k % 3 == 2:
             halves = ((corner, corner + u, corner + v), (corner + u + v, corner + v, corner + u))
             primitives += [mc.Triangle(*half, BLACK, emission) for half in halves]
+        elif k % 4 == 1:
+            center, down = corner + (u + v) / 2, (0.0, 0.0, -1.0)
+            primitives.append(mc.Disk(center, down, 0.3, BLACK, emission, two_sided=k == 1))
+            exact += float(moving.disk_over_receiver(emission, 0.3, center[2], np.hypot(*center[:2])))
+            continue
         else:
             primitives.append(mc.Quad(corner, u, v, BLACK, emission, two_sided=k % 2 == 1))
         given = {"emission": emission, "corner": corner, "edge_u": u, "edge_v": v}

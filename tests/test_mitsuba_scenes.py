@@ -79,6 +79,19 @@ def test_boxes_keep_their_corners_and_are_never_inside_out(flip):
     assert np.all(distances.min(0) < 1e-12) and np.all(distances.min(1) < 1e-12)
 
 
+def test_disks_keep_their_rim_and_their_normal():
+    center, normal, radius = np.array([1.0, 2.0, 3.0]), np.array([0.0, 3.0, -4.0]), 0.5
+    found = primitive(mc.Disk(center, normal, radius))
+    assert found["type"] == "disk"
+    # Mitsuba's disk is that of radius 1 around the origin in the plane z = 0.
+    turn = np.linspace(0.0, 2.0 * np.pi, 9)
+    rim = corners_of(found["to_world"], np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], 1)) - center
+    np.testing.assert_allclose(np.linalg.norm(rim, axis=1), radius, rtol=1e-12)
+    np.testing.assert_allclose(rim @ normal, 0.0, atol=1e-12)
+    assert np.linalg.det(np.array(found["to_world"])) == pytest.approx(radius**2)
+    np.testing.assert_allclose(np.array(found["to_world"])[:3, 2], normal / 5.0)
+
+
 def test_triangles():
     found = primitive(mc.Triangle((0, 0, 0), (1, 0, 0), np.array([0, 1, 0])))
     assert (found["type"], found["faces"]) == ("mesh", [[0, 1, 2]])

@@ -45,11 +45,17 @@ def _rotation(draw):
     return np.linalg.qr(np.random.default_rng(draw(st.integers(0, 1000))).normal(size=(3, 3)))[0]
 
 
+@st.composite
+def _normal(draw):
+    return draw(length) * draw(rotation)[0]
+
+
 rotation = _rotation()
 sides = {"material": material, "emission": radiance, "inward": st.booleans(), "two_sided": st.booleans()}
 primitive = st.one_of(
     st.builds(mc.Sphere, vector, length, **sides),
     flat(),
+    st.builds(mc.Disk, vector, _normal(), length, material, radiance, st.booleans()),
     st.builds(mc.Box, vector, st.tuples(length, length, length), axes=rotation, **sides),
 )
 gradient = st.builds(

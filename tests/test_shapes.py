@@ -1,4 +1,4 @@
-"""Triangles, boxes and tables of many shapes: closest hits against float64, no self-hits, no gaps, lights."""
+"""Triangles, disks, boxes and tables of many shapes: closest hits against float64, no self-hits, no gaps, lights."""
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,8 @@ def primitive(kind, place, size, rng):
         return mc.Sphere(place, size[0])
     if kind == "box":
         return mc.Box(place, size, turn)
+    if kind == "disk":
+        return mc.Disk(place, 3.0 * turn[2], size[0])
     return mc.Quad(place, u, v + 0.1 * turn[0]) if kind == "quad" else mc.Triangle(place, place + u, place + v)
 
 
@@ -65,6 +67,10 @@ def distances(primitive, origin, direction):
     if isinstance(primitive, mc.Triangle):
         a, b, c = primitive.a, primitive.b, primitive.c
         return flat_distances(a, b - a, c - a, True, origin, direction)
+    if isinstance(primitive, mc.Disk):
+        distance = (primitive.center - origin) @ primitive.normal / (direction @ primitive.normal)
+        away = np.linalg.norm(origin + distance[:, None] * direction - primitive.center, axis=1)
+        return np.where((away <= primitive.radius) & (distance > 0), distance, np.inf)
     center, edges = np.asarray(primitive.center), np.asarray(primitive.size)[:, None] * np.asarray(primitive.axes)
     sides = []
     for k in range(3):
@@ -79,7 +85,11 @@ def distances(primitive, origin, direction):
     [
         ("triangle", 3),
         ("box", 40),
-        *(pytest.param(*case, marks=SLOW) for case in [("box", 3), ("triangle", 40), ("sphere", 40), ("quad", 40)]),
+        ("disk", 40),
+        *(
+            pytest.param(*case, marks=SLOW)
+            for case in [("box", 3), ("disk", 3), ("triangle", 40), ("sphere", 40), ("quad", 40)]
+        ),
     ],
 )
 def test_closest_hits_are_those_of_float64(kind, count):

@@ -71,6 +71,24 @@ def quad_by_area():
     return sample, pdf, domain
 
 
+def disk_by_area():
+    """Return points on a disk; the domain counts by their squared distance from its centre, and their azimuth."""
+    disk = mc.Disk((0.1, -0.2, 1.7), (0.3, -0.2, -0.9), 1.2, BLACK, emission=1.0)
+    light, _ = light_of(disk)
+    center, u, v = (np.array(x, float) for x in (light.center, light.half_u, light.half_v))
+    inverse = np.linalg.pinv(np.stack([u, v], 1))
+
+    def coordinates(x):
+        x, y = jnp.asarray(inverse, x.dtype) @ (x - jnp.asarray(center, x.dtype))
+        return jnp.stack([x * x + y * y, jnp.arctan2(y, x)])
+
+    def point(q):
+        return center + jnp.sqrt(q[0]) * (jnp.cos(q[1]) * u + jnp.sin(q[1]) * v)
+
+    domain = Domain((0.0, -math.pi), (1.0, math.pi), point, coordinates, (16, 32), lambda q: 0.5 * 1.2**2)
+    return lambda u: flats.point_on(light, u[0], u[1]), lambda x: 1.0 / light.area, domain
+
+
 def light_by_solid_angle(primitive, domain=SPHERE, point=POINT):
     """Return directions toward a light, and the density that a hit of it is given; 0 where the light is missed."""
     light, scene = light_of(primitive)
@@ -141,6 +159,10 @@ PAIRS = {
     "sample_light of a quad, per solid angle": lambda: light_by_solid_angle(
         mc.Quad(**QUAD, material=BLACK, emission=1.0), directions((0.0, 0.1, 1.0), 0.7)
     ),
+    "sample_light of a disk, per area": disk_by_area,
+    "sample_light of a disk, per solid angle": lambda: light_by_solid_angle(
+        mc.Disk((0.1, -0.2, 1.7), (0.3, -0.2, -0.9), 1.2, BLACK, emission=1.0), directions((0.0, 0.0, 1.0), 0.8)
+    ),
     "sample_light of a sphere, large": lambda: sphere_light(1.0, 1.05),
     "sample_light of a sphere, small": lambda: sphere_light(0.01, 3.0),
     "sample_light of a sphere, inside": lambda: light_by_solid_angle(
@@ -151,6 +173,7 @@ PAIRS = {
 
 
 QUICK = {"sample_cosine_hemisphere", "sample_uniform_hemisphere", "sample_light of a quad, per area", "Camera.ray"}
+QUICK |= {"sample_light of a disk, per area"}
 
 
 def all_but_slow(names, quick):
@@ -208,6 +231,7 @@ def polar(cosine, azimuth, sine=None):
 cosine_sample, cosine_pdf, _ = cosine_hemisphere()
 uniform_sample, uniform_pdf, _ = uniform_hemisphere()
 area_sample, area_pdf, parallelogram = quad_by_area()
+disk_sample, disk_pdf, round_domain = disk_by_area()
 MUTANTS = {
     "missing cosine": (cosine_sample, uniform_pdf, HEMISPHERE),
     "sine of another measure": (uniform_sample, lambda w: uniform_pdf(w) * jnp.sqrt(1.0 - w.z * w.z), HEMISPHERE),
@@ -216,6 +240,7 @@ MUTANTS = {
         lambda x: area_pdf(x) * dot(x - POINT, x - POINT),
         parallelogram,
     ),
+    "a disk's radius drawn uniformly": (lambda u: disk_sample((u[0] ** 2, u[1])), disk_pdf, round_domain),
     "factor 1.02": (cosine_sample, lambda w: 1.02 * cosine_pdf(w), HEMISPHERE),
     "a coordinate used twice": (lambda u: cosine_sample((u[0], u[0])), cosine_pdf, HEMISPHERE),
     "square root forgotten": (lambda u: cosine_sample((u[0] ** 2, u[1])), cosine_pdf, HEMISPHERE),

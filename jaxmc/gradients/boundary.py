@@ -102,7 +102,7 @@ class Boundary:
         if mirror is None:
             return total
         along = self._radiance(moving, u, after, bounces - 1, bounces - 1, emits=True)
-        view = of_film_in_mirror(moving, part, mirror, self._is_triangle(mirror))
+        view = of_film_in_mirror(moving, self.found, part, mirror)
         seen = jump(moving, self.found, *view, choice("film: edge in a mirror"), along)
         return total + seen * float(len(self.mirrors))
 
@@ -116,13 +116,10 @@ class Boundary:
             total = total + outlines(moving, self.found, self.strategy, vertex, choice("outline: edge"), along)
         if most and mirror is not None:
             along = self._radiance(moving, u, after, most - 1, left - 1, emits=True)
-            view = of_vertex_in_mirror(moving, self.strategy, vertex, mirror, self._is_triangle(mirror))
+            view = of_vertex_in_mirror(moving, self.found, self.strategy, vertex, mirror)
             seen = jump(moving, self.found, *view, choice("vertex: edge in a mirror"), along)
             total = total + where(left > 0, seen, black(moving.rest)) * float(len(self.mirrors))
         return total
-
-    def _is_triangle(self, face):
-        return jnp.asarray(self.found.triangles)[face]
 
     def _vertex(self, moving, begun, choice, u):
         """Return the number of a vertex, one over its probability, and the vertex."""

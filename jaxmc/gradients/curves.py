@@ -1,5 +1,6 @@
 """Places on silhouettes as they are seen from a point: which there are, how one is drawn, and what lies behind it."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -8,15 +9,17 @@ import numpy as np
 
 from ..transport.vec import Vec3, cross, dot, larger
 from .arcs import Cone, EdgeView, Halfspace, RimView, edge_arcs, ends_of, rim_arcs, view_edges, view_rims
+from .disks import DiskView, on_rim, rim_point, view_disks
 from .flows import Faces, one_of, still
 from .silhouettes import Silhouettes
 
 
 class Views(NamedTuple):
-    """All edges and all rims as seen from a point; None where there are none."""
+    """All edges and the rims of all spheres and disks as seen from a point; None where there are none."""
 
     edges: EdgeView | None
     rims: RimView | None
+    disks: DiskView | None
 
 
 class Pieces(NamedTuple):
@@ -38,7 +41,7 @@ class Draw(NamedTuple):
 
 
 class Place(NamedTuple):
-    """A point on a silhouette.
+    """A point on a silhouette; ``stretch`` is the length of the curve there to a unit of the length that was drawn.
 
     ``wi`` and ``distance`` say where it is seen, ``away`` is the unit normal of the curve from what is in front to what
     lies behind, on the sphere of directions; ``point`` moves. ``skip`` says for each face whether it belongs to the
@@ -53,12 +56,14 @@ class Place(NamedTuple):
     skip: Any
     around: Any
     sides: Any
+    stretch: Any = 1.0
 
 
 def look(found: Silhouettes, fixed: Faces, point: Vec3) -> Views:
     """Return everything that can be a silhouette as seen from a point."""
     edges = view_edges(found, fixed, point) if found.edges else None
-    return Views(edges, view_rims(found, fixed, point) if found.spheres else None)
+    rims = view_rims(found, fixed, point) if found.spheres else None
+    return Views(edges, rims, view_disks(found, fixed, point) if found.disks else None)
 
 
 def pieces(found: Silhouettes, views: Views, bounds: list[Halfspace], cone: Cone | None, *, creases=False, own=-1):
@@ -76,6 +81,9 @@ def pieces(found: Silhouettes, views: Views, bounds: list[Halfspace], cone: Cone
         arcs = rim_arcs(views.rims, cone)
         mine = jnp.asarray(owner[list(found.spheres)]) == own
         parts.append(Pieces(arcs.start, jnp.where(mine, 0.0, arcs.length), views.rims.sine))
+    if views.disks is not None:
+        mine, size = jnp.asarray(owner[list(found.disks)]) == own, views.disks.size
+        parts.append(Pieces(jnp.zeros_like(size), jnp.where(mine, 0.0, 2.0 * np.pi * size), size))
     return joined(parts)
 
 
@@ -96,58 +104,66 @@ def draw(u, table: Pieces) -> Draw:
     return Draw(which, angle, jnp.where(there, 1.0 / jnp.where(total > 0.0, total, 1.0), 0.0))
 
 
+def curves(found: Silhouettes) -> int:
+    """Return how many curves there are."""
+    return len(found.edges) + len(found.spheres) + len(found.disks)
+
+
 def place_on(found: Silhouettes, views: Views, k, angle, faces: Faces) -> Place:
-    """Return the place at an angle on curve number ``k``: edges come first, then rims."""
-    count, balls = len(found.edges), len(found.spheres)
-    cosine, sine = jnp.cos(angle), jnp.sin(angle)
-    skip, places = jnp.asarray(_primitives(found))[k], []
-    most = 1
-    if views.edges is not None:
-        i = jnp.minimum(k, count - 1)
-        e = jax.tree.map(lambda a: a[i], views.edges)
-        wi = e.first * cosine + e.second * sine
-        # Where on the edge that direction points: both are perpendicular to wi x normal.
-        side, along = cross(e.normal, wi), e.to_stop - e.to_start
-        slope = dot(along, side)
-        t = -dot(e.to_start, side) / jnp.where(slope != 0.0, slope, 1.0)
-        start, stop = (one_of(end, i) for end in ends_of(found, faces))
-        distance = dot(e.to_start + along * t, wi)
-        places.append(Place(wi, distance, e.normal, start + (stop - start) * still(t), skip, e.around, e.sides))
-        most = views.edges.sides.shape[1]
-    if views.rims is not None:
-        i = jnp.clip(k - count, 0, balls - 1)
-        r = jax.tree.map(lambda a: a[i], views.rims)
-        across = r.tangent * cosine + r.bitangent * sine
-        wi, away = r.axis * r.cosine + across * r.sine, across * r.cosine - r.axis * r.sine
-        number = jnp.asarray(found.spheres)[i]
-        ball = faces.at(number)
-        point = ball.center + away * ball.radius
-        around, sides = jnp.full(most, number), jnp.ones(most)
-        places.append(Place(wi, r.distance, away, point, skip, around, sides))
-    if len(places) == 1:
-        return places[0]
-    return jax.tree.map(lambda a, b: jnp.where(k < count, a, b), *places)
+    """Return the place at an angle on curve number ``k``: edges come first, then rims of spheres, then of disks."""
+    counts = np.cumsum([0, len(found.edges), len(found.spheres)])
+    most = 1 if views.edges is None else views.edges.sides.shape[1]
+    skip, place = jnp.asarray(_primitives(found))[k], None
+    for view, on, first in zip(views, (_on_edge, _on_sphere, _on_disk), counts):
+        if view is not None:
+            i = jnp.clip(k - first, 0, len(jax.tree.leaves(view)[0]) - 1)
+            found_here = on(found, jax.tree.map(lambda a, i=i: a[i], view), i, angle, faces, skip, most)
+            place = found_here if place is None else jax.tree.map(partial(jnp.where, k >= first), found_here, place)
+    return place
+
+
+def _on_edge(found, e: EdgeView, i, angle, faces, skip, most):
+    wi = e.first * jnp.cos(angle) + e.second * jnp.sin(angle)
+    # Where on the edge that direction points: both are perpendicular to wi x normal.
+    side, along = cross(e.normal, wi), e.to_stop - e.to_start
+    slope = dot(along, side)
+    t = -dot(e.to_start, side) / jnp.where(slope != 0.0, slope, 1.0)
+    start, stop = (one_of(end, i) for end in ends_of(found, faces))
+    distance = dot(e.to_start + along * t, wi)
+    return Place(wi, distance, e.normal, start + (stop - start) * still(t), skip, e.around, e.sides, jnp.ones(()))
+
+
+def _on_sphere(found, r: RimView, i, angle, faces, skip, most):
+    across = r.tangent * jnp.cos(angle) + r.bitangent * jnp.sin(angle)
+    wi, away = r.axis * r.cosine + across * r.sine, across * r.cosine - r.axis * r.sine
+    number = jnp.asarray(found.spheres)[i]
+    ball = faces.at(number)
+    around, sides = jnp.full(most, number), jnp.ones(most)
+    return Place(wi, r.distance, away, ball.center + away * ball.radius, skip, around, sides, jnp.ones(()))
+
+
+def _on_disk(found, view: DiskView, i, angle, faces, skip, most):
+    at, number = rim_point(view, angle), jnp.asarray(found.disks)[i]
+    disk = faces.at(number)
+    point = disk.center + on_rim(disk.half_u, disk.half_v, angle)
+    around, sides = jnp.full(most, number), jnp.ones(most)
+    return Place(at.wi, at.distance, at.away, point, skip, around, sides, at.stretch)
 
 
 def _primitives(found):
     """Return for each silhouette which faces belong to the primitives that make it."""
     owner = found.owner
-    groups = [*(e.faces for e in found.edges), *((f,) for f in found.spheres)]
+    groups = [*(e.faces for e in found.edges), *((f,) for f in (*found.spheres, *found.disks))]
     return np.array([[o in {owner[f] for f in faces} for o in owner] for faces in groups])
 
 
-def distances(faces: Faces, triangles, point: Vec3, wi: Vec3, own):
+def distances(found: Silhouettes, faces: Faces, point: Vec3, wi: Vec3, own):
     """Return how far every face is along a ray from a point on face ``own``, infinite for a miss."""
     to = faces.center - point
     normal = cross(faces.half_u, faces.half_v)
     speed = dot(normal, wi)
     flat = dot(normal, to) / jnp.where(speed != 0.0, speed, 1.0)
-    offset = wi * flat - to
-    squared = dot(normal, normal)
-    inverse = 1.0 / jnp.where(squared > 0.0, squared, 1.0)
-    u = dot(cross(offset, faces.half_v), normal) * inverse
-    v = dot(cross(faces.half_u, offset), normal) * inverse
-    hit = (jnp.abs(u) <= 1.0) & (jnp.abs(v) <= 1.0) & (flat > 0.0) & (speed != 0.0) & ~(triangles & (u + v > 0.0))
+    inside = holds(faces, point + wi * flat, *kinds(found))
     nearest = dot(to, wi)
     aside = to - wi * nearest
     chord2 = faces.radius * faces.radius - dot(aside, aside)
@@ -156,6 +172,22 @@ def distances(faces: Faces, triangles, point: Vec3, wi: Vec3, own):
     # From its own surface only the other root is left.
     is_own = jnp.arange(len(faces.radius)) == own
     ball = jnp.where(is_own, 2.0 * nearest, ball)
-    met = (chord2 > 0.0) & (ball > 0.0)
+    met, hit = (chord2 > 0.0) & (ball > 0.0), inside & (flat > 0.0) & (speed != 0.0) & ~is_own
     is_ball = faces.radius > 0.0
-    return jnp.where(jnp.where(is_ball, met, hit & ~is_own), jnp.where(is_ball, ball, flat), jnp.inf)
+    return jnp.where(jnp.where(is_ball, met, hit), jnp.where(is_ball, ball, flat), jnp.inf)
+
+
+def kinds(found: Silhouettes):
+    """Return for each face whether it is a triangle, and whether a disk."""
+    return np.array(found.triangles), np.isin(np.arange(len(found.triangles)), found.disks)
+
+
+def holds(face: Faces, point: Vec3, triangle, disk):
+    """Return whether a point of the plane of a flat face lies inside of it."""
+    offset, normal = point - face.center, cross(face.half_u, face.half_v)
+    squared = dot(normal, normal)
+    inverse = 1.0 / jnp.where(squared > 0.0, squared, 1.0)
+    u = dot(cross(offset, face.half_v), normal) * inverse
+    v = dot(cross(face.half_u, offset), normal) * inverse
+    square = (jnp.abs(u) <= 1.0) & (jnp.abs(v) <= 1.0)
+    return square & ~(triangle & (u + v > 0.0)) & ~(disk & (u * u + v * v > 1.0))

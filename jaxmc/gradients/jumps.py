@@ -16,7 +16,7 @@ from ..transport.lights import black
 from ..transport.rays import ray
 from ..transport.vec import Vec3, cross, dot, normalize, where
 from .arcs import Cone, Halfspace, cone_around, corners_of, middle_of, pyramid
-from .curves import Place, draw, look, pieces, place_on
+from .curves import Place, draw, holds, kinds, look, pieces, place_on
 from .flows import Faces, flow, motion, normal_at, still
 from .shadows import draws, scan
 from .silhouettes import Silhouettes
@@ -71,34 +71,34 @@ def of_film(world: World, part: Rectangle):
     return window, give
 
 
-def of_film_in_mirror(world: World, part: Rectangle, face, triangle):
+def of_film_in_mirror(world: World, found: Silhouettes, part: Rectangle, face):
     """Return the window of a part of the film, seen in a mirror."""
     camera, rest = world.values.place, world.rest
     fixed = still(camera)
     corners = [_image(world, face, c, fixed=True) for c in _film_corners(fixed, part)]
-    window = _mirror_window(world, face, triangle, fixed.origin, camera.origin)
+    window = _mirror_window(world, found, face, fixed.origin, camera.origin)
     inside = corners[0] + (corners[2] - corners[0]) * 0.5
     window = window._replace(bounds=window.bounds + pyramid(corners, inside, window.point))
 
     def give(place):
-        least, wi = _through(world, face, window.point, place.wi)
+        least, wi, is_seen = _through(world, found, face, window.point, place.wi)
         used, moving, weight = _on_film(world, part, wi)
-        used = used & unoccluded(rest, ray(fixed.origin, wi), least, -1, face, anywhere=True)
+        used = used & is_seen & unoccluded(rest, ray(fixed.origin, wi), least, -1, face, anywhere=True)
         return Given(used, _reflected(world, face, moving), at(rest.reflectance, face) * weight, least)
 
     return window, give
 
 
-def of_vertex_in_mirror(world: World, strategy, vertex: Vertex, face, triangle):
+def of_vertex_in_mirror(world: World, found: Silhouettes, strategy, vertex: Vertex, face):
     """Return the window of a surface point, seen in a mirror that its directions find."""
     rest, surface = world.rest, vertex.surface
-    window = _mirror_window(world, face, triangle, surface.point, vertex.moving.point)
+    window = _mirror_window(world, found, face, surface.point, vertex.moving.point)
     horizon = Halfspace(_reflected(world, face, surface.normal, fixed=True))
     window = window._replace(bounds=[*window.bounds, horizon])
 
     def give(place):
-        least, wi = _through(world, face, window.point, place.wi)
-        used = draws(vertex) & (dot(wi, surface.normal) > 0.0) & (least > 0.0) & (surface.face != face)
+        least, wi, is_seen = _through(world, found, face, window.point, place.wi)
+        used = draws(vertex) & is_seen & (dot(wi, surface.normal) > 0.0) & (surface.face != face)
         used = used & unoccluded(rest, ray(surface.point, wi), least, surface.face, face, anywhere=True)
         pinned = flow(world.values.faces.at(face), vertex.moving.point, wi, jnp.where(used, least, 1.0)).wi
         still_vertex = jax.tree.map(still, vertex)
@@ -133,7 +133,7 @@ def jump(world: World, found: Silhouettes, window: Window, give, u, radiance_alo
     front, behind = (jax.tree.map(lambda x, k=k: x[k], both) for k in (0, 1))
     away = (place.point - window.moving) * jnp.where(used, 1.0 / jnp.where(used, place.distance, 1.0), 0.0)
     h = jnp.where(used, dot(place.away, away) - dot(place.away, given.wi), 0.0)
-    weight = jnp.where(used, 1.0 / jnp.where(used, chosen.density, 1.0), 0.0)
+    weight = jnp.where(used, place.stretch / jnp.where(used, chosen.density, 1.0), 0.0)
     value = still((front - behind) * given.weight) * (weight * motion(h))
     return where(used, value, black(world.rest))
 
@@ -203,9 +203,10 @@ def _reflected(world, face, direction, fixed=False):
     return direction - normal * (2.0 * dot(normal, direction))
 
 
-def _mirror_window(world: World, face, triangle, point: Vec3, moving: Vec3) -> Window:
+def _mirror_window(world: World, found, face, point: Vec3, moving: Vec3) -> Window:
     row, normal = _mirror(world, face, fixed=True)
     image = _image(world, face, point, fixed=True)
+    triangle = jnp.asarray(found.triangles)[face]
     corners, inside = corners_of(row, triangle), middle_of(row, triangle)
     height = dot(normal, row.center - image)
     beyond = Halfspace(normal * jnp.sign(height), jnp.abs(height))
@@ -215,10 +216,13 @@ def _mirror_window(world: World, face, triangle, point: Vec3, moving: Vec3) -> W
     )  # fmt: skip
 
 
-def _through(world, face, image, wi):
-    """Return how far from the image of a point the mirror is along a direction, and the direction that it reflects."""
+def _through(world, found, face, image, wi):
+    """Return how far from the image of a point the mirror is along a direction, the direction that it reflects, and
+    whether it is seen there.
+    """
     row, normal = _mirror(world, face, fixed=True)
     speed = dot(normal, wi)
-    return dot(normal, row.center - image) / jnp.where(speed != 0.0, speed, 1.0), _reflected(
-        world, face, wi, fixed=True
-    )
+    distance = dot(normal, row.center - image) / jnp.where(speed != 0.0, speed, 1.0)
+    triangle, disk = (jnp.asarray(kind)[face] for kind in kinds(found))
+    is_seen = (distance > 0.0) & holds(row, image + wi * distance, triangle, disk)
+    return distance, _reflected(world, face, wi, fixed=True), is_seen

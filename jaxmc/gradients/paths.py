@@ -106,7 +106,7 @@ def _moving(scene, receiver, place, bounces, options):
     params = scene, values, values
     interior = Integrand(Interior(strategy, receiver), len(labels), params, True, labels)
     found, flags = silhouettes_of(scene, bounces)
-    if found.known and not (found.edges or found.spheres):
+    if found.known and not (found.edges or found.spheres or found.disks):
         return WithBoundary(interior, None, flags, held=2)
     mirrors = tuple(i for i in scene.mirrors if i not in found.spheres)
     around = Boundary(strategy, receiver, found, lamps_of(scene), mirrors)

@@ -15,11 +15,13 @@ import numpy as np
 
 from ..transport.hits import Hit
 from ..transport.lights import black
+from ..transport.primitives import Sphere
 from ..transport.rays import ray
 from ..transport.sky import sky_radiance
 from ..transport.vec import Vec3, cross, dot, where
 from .arcs import Halfspace, cone_around, cone_of_ball, corners_of, middle_of, pyramid, this_side
-from .curves import Place, distances, draw, joined, look, pieces, place_on
+from .curves import Place, curves, distances, draw, joined, look, pieces, place_on
+from .disks import ball_around
 from .flows import flow, motion, one_of, still
 from .silhouettes import Silhouettes
 from .walks import Vertex, evaluate
@@ -41,7 +43,7 @@ def lamps_of(scene) -> tuple[Lamp, ...]:
     primitives, lamps = scene.as_given()[0], []
     for face in sorted(set(scene.lights)):
         p = primitives[scene.owner[face]]
-        inward = hasattr(p, "radius") and p.inward
+        inward = isinstance(p, Sphere) and p.inward
         lamps.append(Lamp(face, p.two_sided or not inward, p.two_sided or inward))
     if scene.sky is not None:
         lamps.append(Lamp(SKY, True, True))
@@ -61,7 +63,7 @@ class Scan(NamedTuple):
 def scan(world: World, found: Silhouettes, place: Place, point: Vec3, own, least=0.0) -> Scan:
     """Return what a ray from ``point`` on face ``own`` meets; at a distance of ``least`` it comes through a window."""
     rest, faces = world.rest, still(world.values.faces)
-    lengths = distances(faces, np.array(found.triangles), point, place.wi, own)
+    lengths = distances(found, faces, point, place.wi, own)
     plane = np.array([[j == i or j in rest.twins[i] for j in range(rest.size)] for i in range(rest.size)])
     plane &= np.array([i not in found.spheres for i in range(rest.size)])
     flat_own = jnp.asarray(np.vstack([plane, np.zeros((1, rest.size), bool)]))[jnp.clip(own, -1, rest.size)]
@@ -93,7 +95,7 @@ def weighted(world, vertex: Vertex, strategy, place, density, used, light, h):
     """Return -f L cos(theta) h over the density of the place: 0, with the derivative of h."""
     rest = jax.tree.map(still, vertex)
     value = still(evaluate(world, strategy, rest, place.wi)[0]) * (1.0 / jnp.pi)
-    weight = jnp.where(used, -1.0 / jnp.where(used, density, 1.0), 0.0)
+    weight = jnp.where(used, -place.stretch / jnp.where(used, density, 1.0), 0.0)
     brought = still(rest.beta * light * value) * (weight * motion(h))
     return where(used, brought, black(world.rest))
 
@@ -107,8 +109,7 @@ def shadows(world: World, found: Silhouettes, lamps, strategy, vertex: Vertex, u
     fixed, surface = still(world.values.faces), vertex.surface
     x, n = surface.point, surface.normal
     views = look(found, fixed, x)
-    place_of, count = drawn_before(found, fixed, views, lamps, x, n), len(found.edges) + len(found.spheres)
-    chosen = draw(u, place_of)
+    chosen, count = draw(u, drawn_before(found, fixed, views, lamps, x, n)), curves(found)
     lamp = chosen.which // count
     place = place_on(found, views, chosen.which % count, chosen.angle, world.values.faces)
     face, front, back = (jnp.asarray([getattr(k, name) for k in lamps])[lamp] for name in Lamp._fields)
@@ -153,8 +154,8 @@ def drawn_before(found, fixed, views, lamps, x, n):
         bounds, cone, own = [Halfspace(n)], None, -1
         if lamp.face != SKY:
             target, own = fixed.at(lamp.face), found.owner[lamp.face]
-            if lamp.face in found.spheres:
-                cone = cone_of_ball(target, x)
+            if lamp.face in (*found.spheres, *found.disks):
+                cone = cone_of_ball(target if lamp.face in found.spheres else ball_around(target), x)
             else:
                 triangle = found.triangles[lamp.face]
                 corners, inside = corners_of(target, triangle), middle_of(target, triangle)

@@ -1,4 +1,4 @@
-"""Which curves of a scene can be silhouettes: edges of flat faces, and the rims of spheres.
+"""Which curves of a scene can be silhouettes: edges of flat faces, and the rims of spheres and disks.
 
 Edges that coincide are one edge with several faces, so each is counted once, and none where faces go on into each
 other. All of it is found once, outside of JAX, and holds as long as what touches moves together.
@@ -26,7 +26,8 @@ class Edge(NamedTuple):
 
 
 class Silhouettes(NamedTuple):
-    """The edges of a scene, the faces that are spheres, the primitive of each face, and which faces are triangles.
+    """The edges of a scene, the faces that are spheres, the primitive of each face, which faces are triangles, and the
+    faces that are disks.
 
     Not ``known`` while JAX traces the scene: what coincides cannot be told then.
     """
@@ -35,6 +36,7 @@ class Silhouettes(NamedTuple):
     spheres: tuple[int, ...]
     owner: tuple[int, ...]
     triangles: tuple[bool, ...]
+    disks: tuple[int, ...] = ()
     known: bool = True
 
 
@@ -58,10 +60,11 @@ def silhouettes(outlines, owner) -> tuple[Silhouettes, tuple[str, ...]]:
     if not is_concrete(outlines):
         return Silhouettes((), (), tuple(owner), (), known=False), ()
     spheres = [i for i, o in enumerate(outlines) if not isinstance(o, FlatLight)]
-    sides = [(i, a, b) for i, o in enumerate(outlines) if i not in spheres for a, b in _sides(o)]
+    disks = [i for i, o in enumerate(outlines) if isinstance(o, FlatLight) and o.disk]
+    sides = [(i, a, b) for i, o in enumerate(outlines) if i not in (*spheres, *disks) for a, b in _sides(o)]
     ends = np.array([[_corner(outlines[i], a), _corner(outlines[i], b)] for i, a, b in sides]).reshape(-1, 2, 3)
     size = max([np.ptp(ends.reshape(-1, 3), axis=0).max(initial=0.0)] if len(ends) else [0.0])
-    size = max([size, *(float(outlines[i].radius) for i in spheres)]) or 1.0
+    size = max([size, *(_radius(outlines[i]) for i in (*spheres, *disks))]) or 1.0
     edges: list[Edge] = []
     kept: list[int] = []
     for k, (face, a, b) in enumerate(sides):
@@ -72,7 +75,7 @@ def silhouettes(outlines, owner) -> tuple[Silhouettes, tuple[str, ...]]:
         else:
             edges[twin] = edges[twin]._replace(faces=(*edges[twin].faces, face))
     triangles = tuple(isinstance(o, FlatLight) and o.triangle for o in outlines)
-    found = Silhouettes(tuple(edges), tuple(spheres), tuple(owner), triangles)
+    found = Silhouettes(tuple(edges), tuple(spheres), tuple(owner), triangles, tuple(disks))
     return found, _flags(outlines, owner, found, ends[kept], size)
 
 
@@ -96,7 +99,9 @@ def _is_same(a, b, tolerance):
 def _flags(outlines, owner, found, ends, size):
     flags = []
     pairs = itertools.combinations(range(len(ends)), 2)
-    if any(_overlap(ends[i], ends[j], SAME * size) for i, j in pairs):
+    rims = [_rim(outlines[i]) for i in found.disks]
+    shared = any(_is_same_rim(a, b, SAME * size) for a, b in itertools.combinations(rims, 2))
+    if shared or any(_overlap(ends[i], ends[j], SAME * size) for i, j in pairs):
         flags.append("edges overlap in part: silhouettes there may be counted twice; divide them where they meet")
     flats = [i for i in range(len(outlines)) if i not in found.spheres]
     crossing = {
@@ -104,6 +109,12 @@ def _flags(outlines, owner, found, ends, size):
         for edge, segment in zip(found.edges, ends)
         for i in flats
         if owner[i] not in {owner[f] for f in edge.faces} and _pierces(segment, outlines[i], SAME)
+    }
+    crossing |= {
+        tuple(sorted((owner[i], owner[j])))
+        for i, rim in zip(found.disks, rims)
+        for j in flats
+        if i != j and any(_pierces(chord, outlines[j], SAME) for chord in _chords(rim, outlines[j]))
     }
     crossing |= {
         (owner[i], owner[j])
@@ -143,7 +154,38 @@ def _pierces(segment, outline, margin):
         return False
     point = segment[0] + (segment[1] - segment[0]) * heights[0] / (heights[0] - heights[1]) - center
     u, v = np.cross(point, half_v) @ normal / (normal @ normal), np.cross(half_u, point) @ normal / (normal @ normal)
+    if outline.disk:
+        return np.hypot(u, v) < 1.0 - margin
     return max(abs(u), abs(v)) < 1.0 - margin and not (outline.triangle and u + v > -margin)
+
+
+def _radius(outline):
+    return float(np.linalg.norm(outline.half_u) if isinstance(outline, FlatLight) else outline.radius)
+
+
+def _rim(disk):
+    """Return the centre of a disk and two radii at right angles, shape (3, 3)."""
+    return np.array([disk.center, disk.half_u, disk.half_v], np.float64)
+
+
+def _is_same_rim(a, b, tolerance):
+    (center, u, v), (other, s, t) = a, b
+    aside = np.linalg.norm(np.cross(np.cross(u, v), np.cross(s, t))) / (np.linalg.norm(u) * (s @ s))
+    return max(np.linalg.norm(center - other), abs(np.linalg.norm(u) - np.linalg.norm(s)), aside) <= tolerance
+
+
+def _chords(rim, flat):
+    """Return short segments through the plane of a flat face, one at each point where a rim crosses it."""
+    center, u, v = rim
+    plane = np.array([flat.center, flat.half_u, flat.half_v], np.float64)
+    normal = np.cross(plane[1], plane[2]) / np.linalg.norm(np.cross(plane[1], plane[2]))
+    height, along = normal @ (center - plane[0]), np.hypot(u @ normal, v @ normal)
+    if abs(height) >= (1.0 - SAME) * along:
+        return []
+    middle, half = np.arctan2(v @ normal, u @ normal), np.arccos(-height / along)
+    crossings = [center + u * np.cos(a) + v * np.sin(a) for a in (middle - half, middle + half)]
+    reach = SAME * np.linalg.norm(u) * normal
+    return [np.array([c - reach, c + reach]) for c in crossings]
 
 
 def _spheres_cross(a, b, tolerance):
@@ -153,8 +195,14 @@ def _spheres_cross(a, b, tolerance):
 
 def _cuts(sphere, flat, tolerance):
     """Return whether a sphere's surface meets a flat face: its nearest point is inside, its farthest outside."""
-    corners = np.array([_corner(flat, uv) for uv in CORNERS[flat.triangle]])
     center = np.array(sphere.center, np.float64)
+    if flat.disk:
+        middle, u, v = _rim(flat)
+        height, away = np.cross(u, v) @ (center - middle) / (u @ u), center - middle
+        aside, radius = np.sqrt(max(away @ away - height**2, 0.0)), _radius(flat)
+        nearest, farthest = np.hypot(max(aside - radius, 0.0), height), np.hypot(aside + radius, height)
+        return nearest < sphere.radius - tolerance and farthest > sphere.radius + tolerance
+    corners = np.array([_corner(flat, uv) for uv in CORNERS[flat.triangle]])
     farthest = np.linalg.norm(corners - center, axis=1).max()
     return _distance(center, corners) < sphere.radius - tolerance and farthest > sphere.radius + tolerance
 

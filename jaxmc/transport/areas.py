@@ -13,11 +13,11 @@ import numpy as np
 
 from ..integration.counts import is_count
 from ..integration.integrand import Integrand
-from . import geometry, rays
-from .flats import FlatLight, coordinates
+from . import flats, geometry, rays
+from .flats import FlatLight
 from .hits import at, closest_hit, face_at
 from .lookups import lookups
-from .primitives import as_color, as_unit, as_vec3
+from .primitives import Sphere, as_color, as_unit, as_vec3
 from .scene import Scene
 from .spheres import point_by_area
 from .vec import Vec3, dot, larger, where
@@ -72,15 +72,14 @@ def _area(outline):
 
 def _sides(primitive) -> tuple[bool, bool]:
     """Return whether a light shines to the side of its outline's normal, and to the other."""
-    inward = hasattr(primitive, "radius") and primitive.inward
+    inward = isinstance(primitive, Sphere) and primitive.inward
     return (True, True) if primitive.two_sided else (not inward, inward)
 
 
 def point_on(outline, u1, u2):
     """Return a point of a face drawn uniformly by area, and the normal there, away from a sphere's centre."""
     if isinstance(outline, FlatLight):
-        u, v = coordinates(outline.triangle, u1, u2)
-        return outline.center + outline.half_u * u + outline.half_v * v, outline.normal
+        return flats.point_on(outline, u1, u2), outline.normal
     return point_by_area(outline, u1, u2)
 
 

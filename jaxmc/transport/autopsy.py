@@ -8,9 +8,10 @@ from ..integration.samplers import Independent
 from ..integration.spike import Spike, spike
 from .camera import Camera
 from .debug import Path, replay
+from .facts import axes_of
 from .integrands import path_integrand
 from .materials import luminance
-from .primitives import Box, Quad, Sphere, Triangle
+from .primitives import Box, Disk, Quad, Sphere, Triangle
 from .scene import Scene
 
 ROUND = np.linspace(0.0, 2.0 * np.pi, 65)
@@ -90,6 +91,9 @@ def _lines(p, i, j):
         return [np.array([a, a + u, a + u + v, a + v, a])]
     if isinstance(p, Triangle):
         return [np.array([p.a, p.b, p.c, p.a], float)]
+    if isinstance(p, Disk):
+        _, u, v = map(np.array, axes_of(p))
+        return [np.array(p.center, float) + np.outer(np.cos(ROUND), u) + np.outer(np.sin(ROUND), v)]
     assert isinstance(p, Box)
     x, y, z = 0.5 * np.array(p.size, float)[:, None] * np.array(p.axes, float)
     center = np.array(p.center, float)

@@ -1,7 +1,7 @@
 """What is known of a scene before any ray: where it lies, what touches what, what can cast a shadow.
 
-All of it is computed once, in float64, from the faces of the primitives as the user gave them: spheres, quads and
-triangles. While JAX traces the geometry nothing is known, and every answer is the safe one.
+All of it is computed once, in float64, from the faces of the primitives as the user gave them: spheres, quads,
+triangles and disks. While JAX traces the geometry nothing is known, and every answer is the safe one.
 """
 
 import dataclasses
@@ -10,7 +10,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from .primitives import Box, Quad, Sphere, Triangle, is_concrete
+from .primitives import Box, Disk, Quad, Sphere, Triangle, as_unit, is_concrete
+from .vec import Vec3, frame
 
 LARGE = 16.0  # the largest primitive counts as large if it has so many times the size of all the others together
 ROWS = 256  # faces that are compared with all others at a time
@@ -37,13 +38,19 @@ def is_known(primitives) -> bool:
 
 def _places(p):
     """Return the names of the attributes that move with a primitive."""
-    kinds = {Sphere: ("center",), Box: ("center",), Quad: ("corner",), Triangle: ("a", "b", "c")}
+    kinds = {
+        Sphere: ("center",), Disk: ("center",), Box: ("center",), Quad: ("corner",), Triangle: ("a", "b", "c"),
+    }  # fmt: skip
     return kinds[type(p)]
 
 
 def _lengths(p):
     """Return the names of the attributes that do not."""
-    return {Sphere: ("radius",), Box: ("size", "axes"), Quad: ("edge_u", "edge_v"), Triangle: ()}[type(p)]
+    kinds = {
+        Sphere: ("radius",), Disk: ("normal", "radius"), Box: ("size", "axes"), Quad: ("edge_u", "edge_v"),
+        Triangle: (),
+    }  # fmt: skip
+    return kinds[type(p)]
 
 
 def faces_of(primitive) -> list:
@@ -86,7 +93,7 @@ def check_range(primitives) -> None:
 
 def _sizes(p):
     """Return the lengths that make the size of a primitive."""
-    if isinstance(p, Sphere):
+    if isinstance(p, Sphere | Disk):
         return [p.radius]
     if isinstance(p, Box):
         return list(p.size)
@@ -99,6 +106,14 @@ def edges_of(face):
         return np.asarray(face.edge_u, np.float64), np.asarray(face.edge_v, np.float64)
     a, b, c = (np.asarray(x, np.float64) for x in (face.a, face.b, face.c))
     return b - a, c - a
+
+
+def axes_of(disk: Disk) -> tuple[Vec3, Vec3, Vec3]:
+    """Return the unit normal of a disk and two radii at right angles, in float64 where they are known."""
+    normal = as_unit("Disk normal", disk.normal)
+    tangent, bitangent = frame(normal, (-1.0 if normal.z < 0.0 else 1.0) if is_concrete(normal) else None)
+    radius = float(disk.radius) if is_concrete(disk.radius) else disk.radius
+    return normal, tangent * radius, bitangent * radius
 
 
 def check_radiances(name, colors) -> None:
@@ -151,11 +166,12 @@ def moved(primitive, offset):
 
 def _box(p):
     """Return the lower and the upper corner of the box around a face, shape (2, 3)."""
-    if not isinstance(p, Sphere):
+    if not isinstance(p, Sphere | Disk):
         points = corners(p)
         return np.stack([points.min(0), points.max(0)])
     center = np.asarray(p.center, np.float64)
-    return np.stack([center - p.radius, center + p.radius])
+    half = np.hypot(*map(np.array, axes_of(p)[1:])) if isinstance(p, Disk) else p.radius
+    return np.stack([center - half, center + half])
 
 
 def _union(boxes):
@@ -199,7 +215,7 @@ def touch(faces, normals, layout: Layout) -> Touch:
     flat = np.array([n is not None for n in normals], bool)
     normal = np.array([(0.0, 0.0, 0.0) if n is None else n for n in normals]).reshape(-1, 3)
     points = np.array([_points(p) for p in faces]).reshape(-1, 4, 3)
-    radius = np.array([p.radius if isinstance(p, Sphere) else 0.0 for p in faces])
+    radius = np.array([p.radius if isinstance(p, Sphere | Disk) else 0.0 for p in faces])
     # Some rows at a time: memory for all pairs would be large.
     parts = [
         _compare(np.arange(i, min(i + ROWS, count)), flat, normal, points, radius, layout)
@@ -226,9 +242,12 @@ def _compare(rows, flat, normal, points, radius, layout):
     other = rows[:, None] != np.arange(len(flat))
     both, neither = flat[rows, None] & flat & other, ~flat[rows, None] & ~flat & other
 
-    # Heights of the points of face j over the plane of face i, at [i, j], and how far apart the centres are.
+    # Heights of the points of face j over the plane of face i, at [i, j], and how far apart the centres are. The rim of
+    # a disk goes as far as it is tilted.
     height = np.einsum("ijkx,ix->ijk", points - points[rows, None, :1], normal[rows])
-    low, high = height.min(-1) - radius, height.max(-1) + radius
+    tilt = np.linalg.norm(np.cross(normal[rows, None], normal), axis=-1)
+    reach = radius * np.where(flat, tilt, 1.0)
+    low, high = height.min(-1) - reach, height.max(-1) + reach
     distance = np.linalg.norm(points[rows, None, 0] - points[:, 0], axis=-1)
     hull = flat[rows] & ((low >= -slack).all(1) | (high <= slack).all(1))
 
@@ -238,10 +257,13 @@ def _compare(rows, flat, normal, points, radius, layout):
 
     beyond = np.maximum(np.abs(low), np.abs(high))  # the largest height of j over the plane of i
     same = neither & (distance <= slack) & (np.abs(radius[rows, None] - radius) <= slack)
-    lower, upper = points.min(1), points.max(1)
+    lower, upper = points.min(1) - radius[:, None], points.max(1) + radius[:, None]
     apart = (lower[rows, None] - upper > slack).any(-1) | (low > slack) | (high < -slack) | ~both
     return hull, clear, uncut, both & (beyond <= slack), same, both & (beyond < TIGHT * layout.extent), apart
 
 
 def _points(p):
-    return np.broadcast_to(np.asarray(p.center, np.float64), (4, 3)) if isinstance(p, Sphere) else corners(p)
+    """Return the corners of a face, or the centre of a round one four times, shape (4, 3)."""
+    if isinstance(p, Sphere | Disk):
+        return np.broadcast_to(np.asarray(p.center, np.float64), (4, 3))
+    return corners(p)

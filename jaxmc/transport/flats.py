@@ -1,4 +1,4 @@
-"""Flat faces, parallelograms and triangles: closest hit and light sampling, written for one ray.
+"""Flat faces, parallelograms, triangles and disks: closest hit and light sampling, written for one ray.
 
 Components that are zero by construction are ``None`` in a ``FlatShape``: they take part in no arithmetic, so a wall
 that is parallel to an axis costs a third of a tilted one.
@@ -14,18 +14,20 @@ import jax.numpy as jnp
 from .derivatives import product, quotient, root
 from .rays import LightSample, Ray, is_rounding, row_at, sparse_dot
 from .vec import Vec3, dot, larger
+from .warps import sincos_2pi
 
 
 @partial(
     jax.tree_util.register_dataclass,
     data_fields=["normal", "offset", "row_u", "offset_u", "row_v", "offset_v", "limit"],
-    meta_fields=["axis", "triangle"],
+    meta_fields=["axis", "triangle", "disk"],
 )
 @dataclasses.dataclass(frozen=True)
 class FlatShape:
-    """A parallelogram, or the half of one, as three rows: a point p has height ``normal . p - offset`` over it and the
+    """A parallelogram, or a part of one, as three rows: a point p has height ``normal . p - offset`` over it and the
     coordinates u = ``row_u . p - offset_u`` and v = ``row_v . p - offset_v``. Inside a parallelogram these run from -1
-    to 1; inside a triangle, which is the half that has the parallelogram's first corner, u + v <= 0 as well.
+    to 1; inside a triangle, which is the half that has the parallelogram's first corner, u + v <= 0 as well; inside a
+    disk, which a square holds, u^2 + v^2 <= 1.
 
     ``limit`` is 1 plus the rounding error of a hit in these coordinates, so that no ray slips between two faces that
     share an edge. ``axis`` is the axis that the normal is parallel to, or None; then ``normal`` is not used.
@@ -40,9 +42,12 @@ class FlatShape:
     limit: Any
     axis: int | None
     triangle: bool = False
+    disk: bool = False
 
     def holds(self, u, v):
         """Return whether a point of the plane with coordinates (u, v) lies inside."""
+        if self.disk:
+            return u * u + v * v <= self.limit * self.limit
         if self.triangle:
             return larger(larger(-u, -v), u + v + 1.0) <= self.limit
         return larger(jnp.abs(u), jnp.abs(v)) <= self.limit
@@ -72,7 +77,7 @@ def is_on(flat: FlatShape, point):
 @partial(
     jax.tree_util.register_dataclass,
     data_fields=["center", "half_u", "half_v", "normal", "area"],
-    meta_fields=["triangle", "two_sided", "rectangle"],
+    meta_fields=["triangle", "two_sided", "rectangle", "disk"],
 )
 @dataclasses.dataclass(frozen=True)
 class FlatLight:
@@ -89,6 +94,7 @@ class FlatLight:
     triangle: bool = False
     two_sided: bool = False
     rectangle: bool = False
+    disk: bool = False
 
     @property
     def centroid(self):
@@ -104,9 +110,19 @@ class FlatLight:
         return jnp.abs(cosine) if self.two_sided else larger(-cosine, 0.0)
 
 
-def coordinates(triangle: bool, u1, u2):
-    """Return the coordinates of a point of a flat face drawn uniformly by area."""
-    if not triangle:
+def point_on(light: FlatLight, u1, u2) -> Vec3:
+    """Return a point of a flat face drawn uniformly: its density is 1 / area, per area."""
+    u, v = _coordinates(light, u1, u2)
+    return light.center + light.half_u * u + light.half_v * v
+
+
+def _coordinates(light, u1, u2):
+    if light.disk:
+        # The square root makes rings of equal area.
+        distance = root(u1)
+        sine, cosine = sincos_2pi(u2)
+        return distance * cosine, distance * sine
+    if not light.triangle:
         return 2.0 * u1 - 1.0, 2.0 * u2 - 1.0
     # The square root makes strips of equal area.
     strip = root(u1)
@@ -117,9 +133,7 @@ def sample(light: FlatLight, point, own, u1, u2) -> LightSample:
     """Sample a point of a flat face uniformly by area, seen from ``point``; ``own``: that lies in its plane, from which
     it cannot be seen.
     """
-    u, v = coordinates(light.triangle, u1, u2)
-    target = light.center + light.half_u * u + light.half_v * v
-    to_light = target - point
+    to_light = point_on(light, u1, u2) - point
     squared = dot(to_light, to_light)
     inverse = jnp.sqrt(1.0 / squared)
     wi = to_light * inverse

@@ -4,12 +4,13 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from . import facts
 from .boxes import BoxShape
 from .flats import FlatLight, FlatShape
 from .lookups import lookup, lookups
-from .primitives import Box, Sphere, Triangle, as_vec3, is_concrete
+from .primitives import Box, Disk, Sphere, Triangle, as_vec3, is_concrete
 from .shape_tables import MANY, ShapeTable, table_of
 from .spheres import SphereShape
 from .vec import Vec3, cross, dot
@@ -101,7 +102,8 @@ def _apart(shapes, firsts, touch):
     kinds: dict[Any, list[int]] = {}
     for i, shape in enumerate(shapes):
         large = isinstance(shape, SphereShape) and shape.power is not None
-        kinds.setdefault((type(shape), getattr(shape, "triangle", False), large), []).append(i)
+        outline = [getattr(shape, name, False) for name in ("triangle", "disk")]
+        kinds.setdefault((type(shape), *outline, large), []).append(i)
     single, tables = [], []
     for numbers in kinds.values():
         if len(numbers) <= MANY:
@@ -123,7 +125,7 @@ def _dense(shape):
     return FlatShape(
         Vec3(*map(_or_zero, normal)), _or_zero(shape.offset), Vec3(*map(_or_zero, shape.row_u)),
         _or_zero(shape.offset_u), Vec3(*map(_or_zero, shape.row_v)), _or_zero(shape.offset_v), shape.limit, None,
-        shape.triangle,
+        shape.triangle, shape.disk,
     )  # fmt: skip
 
 
@@ -132,6 +134,10 @@ def _or_zero(x):
 
 
 def _frame(face) -> FlatLight:
+    if isinstance(face, Disk):
+        normal, half_u, half_v = facts.axes_of(face)
+        area = np.pi * dot(half_u, half_u)
+        return FlatLight(as_vec3("center", face.center), half_u, half_v, normal, area, disk=True)
     triangle = isinstance(face, Triangle)
     if triangle:
         corner, b, c = (as_vec3("corner", x) for x in (face.a, face.b, face.c))
@@ -159,7 +165,7 @@ def _flat_shape(frame: FlatLight, plane: FlatLight, rounding) -> FlatShape:
     if axis is not None:
         normal, offset = None, plane.center[axis]
     rows = [(_without_zeros(r), _none_if_zero(dot(r, frame.center))) for r in (row_u, row_v)]
-    return FlatShape(normal, offset, *rows[0], *rows[1], 1.0 + rounding, axis, frame.triangle)
+    return FlatShape(normal, offset, *rows[0], *rows[1], 1.0 + rounding, axis, frame.triangle, frame.disk)
 
 
 def _box_shape(sides, box: Box) -> BoxShape:

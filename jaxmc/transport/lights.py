@@ -159,7 +159,9 @@ def _bound(cosine, cone_cosine, cone_sine):
 
 
 def _farthest(light: FlatLight):
-    """Return the squared distance of the farthest corner from the centroid."""
+    """Return the squared distance of the farthest point from the centroid."""
+    if light.disk:
+        return dot(light.half_u, light.half_u)
     coordinates = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)) if light.triangle else ((1.0, 1.0), (1.0, -1.0))
     offsets = [light.center + light.half_u * u + light.half_v * v - light.centroid for u, v in coordinates]
     squares = [dot(o, o) for o in offsets]

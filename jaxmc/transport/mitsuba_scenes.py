@@ -10,8 +10,9 @@ import numpy as np
 
 from ..integration.counts import positive
 from .camera import Camera
+from .facts import axes_of
 from .materials import Dielectric, Diffuse, Mirror
-from .primitives import Box, Quad, Sphere, as_color, is_concrete
+from .primitives import Box, Disk, Quad, Sphere, as_color, is_concrete
 from .scene import LEAST_ROUGHNESS, Scene
 from .sky import GradientSky
 from .strategy import Strategy
@@ -95,6 +96,10 @@ def _shape(p):
         normal = np.cross(u, v)
         columns = [0.5 * u, 0.5 * v, normal / np.linalg.norm(normal), corner + 0.5 * (u + v)]
         return {"type": "rectangle", "to_world": _matrix(columns)}
+    if isinstance(p, Disk):
+        # Mitsuba's disk has radius 1 around the origin and looks along +z.
+        normal, u, v = map(np.array, axes_of(p))
+        return {"type": "disk", "to_world": _matrix([u, v, normal, np.asarray(p.center, np.float64)])}
     if isinstance(p, Box):
         # Mitsuba's cube spans [-1, 1]^3. A reflection would turn it inside out, and a box is its own mirror image.
         axes = np.asarray(p.axes, np.float64)

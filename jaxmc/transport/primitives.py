@@ -1,5 +1,5 @@
-"""What a user builds scenes from: spheres, parallelograms, triangles and boxes with a material and, for lights, an
-emission.
+"""What a user builds scenes from: spheres, parallelograms, triangles, disks and boxes with a material and, for lights,
+an emission.
 """
 
 import dataclasses
@@ -104,6 +104,37 @@ class Triangle:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class Disk:
+    """A flat round disk.
+
+    Attributes:
+        center: three coordinates.
+        normal: three numbers, not all 0; its length does not matter.
+        radius: positive.
+        material: ``Diffuse``, ``Mirror``, ``RoughConductor`` or ``Dielectric``.
+        emission: radiance that leaves on the side of the normal: a number, an RGB triple or None.
+        two_sided: it shines to both sides.
+
+    Raises:
+        ValueError: a value of the wrong shape or range, or one that is not finite.
+    """
+
+    center: Any
+    normal: Any
+    radius: Any
+    material: Any = GREY
+    emission: Any = None
+    two_sided: bool = False
+
+    def __post_init__(self):
+        _check_vector("Disk center", self.center)
+        _check_vector("Disk normal", self.normal)
+        as_unit("Disk normal", self.normal)
+        _check_number("Disk radius", self.radius, above=0.0)
+        _check_surface("Disk", self.material, self.emission)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Box:
     """A box of any orientation.
 
@@ -146,7 +177,7 @@ class Box:
         _check_surface("Box", self.material, self.emission)
 
 
-Primitive = Sphere | Quad | Triangle | Box
+Primitive = Sphere | Quad | Triangle | Disk | Box
 
 
 def is_concrete(tree) -> bool:

@@ -23,17 +23,19 @@ from .sky import GradientSky, table_of_sky
 from .vec import Vec3
 
 LEAST_ROUGHNESS = 1e-3
+KINDS = "mc.Sphere, mc.Quad, mc.Triangle, mc.Disk and mc.Box"
 
 
 @jax.tree_util.register_pytree_node_class
 class Scene:
     """Primitives and a sky.
 
-    A scene is made of faces: a sphere, a quad and a triangle have one each, a box has six. Faces are numbered in the
-    order of the primitives; without boxes these are the numbers of the primitives.
+    A scene is made of faces: a box has six, every other primitive has one. Faces are numbered in the order of the
+    primitives; without boxes these are the numbers of the primitives.
 
     Args:
-        primitives: ``Sphere``, ``Quad``, ``Triangle`` and ``Box`` objects. Those with an emission above 0 are lights.
+        primitives: ``Sphere``, ``Quad``, ``Triangle``, ``Disk`` and ``Box`` objects. Those with an emission above 0 are
+            lights.
         sky: radiance that arrives from outside, the same from everywhere: a number, an RGB triple or None for black; or
             a ``GradientSky``.
 
@@ -233,11 +235,11 @@ class Scene:
 
 def _checked(primitives) -> list[Primitive]:
     if not isinstance(primitives, Iterable):
-        raise ValueError(f"a scene is made of a list of mc.Sphere, mc.Quad, mc.Triangle and mc.Box, got {primitives!r}")
+        raise ValueError(f"a scene is made of a list of {KINDS}, got {primitives!r}")
     primitives = list(primitives)
     for p in primitives:
         if not isinstance(p, Primitive):
-            raise ValueError(f"a scene is made of mc.Sphere, mc.Quad, mc.Triangle and mc.Box objects, got {p!r}")
+            raise ValueError(f"a scene is made of {KINDS} objects, got {p!r}")
     return primitives
 
 

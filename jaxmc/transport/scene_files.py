@@ -20,13 +20,13 @@ import numpy as np
 
 from .camera import Camera, PinholeCamera
 from .materials import Dielectric, Diffuse, Mirror, RoughConductor
-from .primitives import Box, Quad, Sphere, Triangle, is_concrete
+from .primitives import Box, Disk, Quad, Sphere, Triangle, is_concrete
 from .scene import Scene
 from .sky import GradientSky
 
 FORMAT, VERSION = "jaxmc scene", 1
 DEPTH = 2  # of lists in lists: the axes of a box
-PRIMITIVES = (Sphere, Quad, Triangle, Box)
+PRIMITIVES = (Sphere, Quad, Triangle, Disk, Box)
 MATERIALS = (Diffuse, Mirror, RoughConductor, Dielectric)
 
 

@@ -69,12 +69,13 @@ def larger(a, b):
     return jnp.where(a > b, a, b)
 
 
-def frame(n):
-    """Return two unit tangents that make a right-handed frame with the unit normal ``n``.
+def frame(n, sign=None):
+    """Return two unit tangents that make a right-handed frame with the unit normal ``n``; ``sign`` is that of n.z, 1 or
+    -1, where it is known: then all is plain arithmetic, in float64 for Python's numbers.
 
     Source: Duff et al. 2017, "Building an Orthonormal Basis, Revisited" (no branch, no singular direction).
     """
-    sign = jnp.where(n.z < 0.0, -1.0, 1.0)
+    sign = jnp.where(n.z < 0.0, -1.0, 1.0) if sign is None else sign
     a = -1.0 / (sign + n.z)
     b = n.x * n.y * a
     return Vec3(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), Vec3(b, sign + n.y * n.y * a, -n.y)
