@@ -11,14 +11,14 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..transport.hits import Hit, at, unoccluded
+from ..transport.hits import Hit, at
 from ..transport.lights import black
 from ..transport.rays import ray
 from ..transport.vec import Vec3, cross, dot, normalize, where
 from .arcs import Cone, Halfspace, cone_around, corners_of, middle_of, pyramid
 from .curves import Place, draw, holds, kinds, look, pieces, place_on
 from .flows import Faces, flow, motion, normal_at, still
-from .shadows import draws, scan
+from .shadows import draws, is_free, scan
 from .silhouettes import Silhouettes
 from .walks import Vertex, evaluate
 from .world import World
@@ -83,7 +83,7 @@ def of_film_in_mirror(world: World, found: Silhouettes, part: Rectangle, face):
     def give(place):
         least, wi, is_seen = _through(world, found, face, window.point, place.wi)
         used, moving, weight = _on_film(world, part, wi)
-        used = used & is_seen & unoccluded(rest, ray(fixed.origin, wi), least, -1, face, anywhere=True)
+        used = used & is_seen & is_free(world, found, fixed.origin, wi, least, -1, face)
         return Given(used, _reflected(world, face, moving), at(rest.reflectance, face) * weight, least)
 
     return window, give
@@ -99,7 +99,7 @@ def of_vertex_in_mirror(world: World, found: Silhouettes, strategy, vertex: Vert
     def give(place):
         least, wi, is_seen = _through(world, found, face, window.point, place.wi)
         used = draws(vertex) & is_seen & (dot(wi, surface.normal) > 0.0) & (surface.face != face)
-        used = used & unoccluded(rest, ray(surface.point, wi), least, surface.face, face, anywhere=True)
+        used = used & is_free(world, found, surface.point, wi, least, surface.face, face)
         pinned = flow(world.values.faces.at(face), vertex.moving.point, wi, jnp.where(used, least, 1.0)).wi
         still_vertex = jax.tree.map(still, vertex)
         value = still(evaluate(world, strategy, still_vertex, wi)[0]) * (1.0 / jnp.pi)
