@@ -54,7 +54,9 @@ def keep(run, checkpoint, n, target, bar, make) -> Estimate:
     if checkpoint is None:
         if run.part.about:
             run.sums.recipe = recipe(run, n, target)
-        return make()
+        estimate = make()
+        run.sums.finished = True
+        return estimate
     checkpoint = checkpoint if isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
     keeper = Keeper(checkpoint, run, n, target)
     keeper.resume(bar)
@@ -88,7 +90,7 @@ class Keeper:
         """Return the sums in the file. Raises ``ValueError`` where it holds none, or those of another recipe."""
         found = storage.load(self.path)
         cure = "name another file, or remove this one"
-        if not isinstance(found, Sums) or found.recipe is None:
+        if not isinstance(found, Sums) or found.recipe is None or not (found.finished or found.pending):
             raise ValueError(f"{self.path} holds no checkpoint; {cure}")
         self.recipe = recipe(self.run, self.n, self.target)
         if other := difference(found.recipe, self.recipe):

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from .. import backend
+from .counts import positive
 from .estimate import Estimate
 from .kernel import LANES, ROWS, evaluate, item_jobs, stream_jobs
 from .moments import Moments
@@ -20,6 +21,13 @@ from .work import ordered_map
 def _as_array(x):
     # Leave it on the host: a compiled function takes it from there in a twentieth of the time of ``jnp.asarray``.
     return x if isinstance(x, jax.Array) else np.asarray(x)
+
+
+def _check_tallies(tallies):
+    if tallies is not None and not (
+        isinstance(tallies, dict) and all(isinstance(name, str) and hasattr(t, "reduce") for name, t in tallies.items())
+    ):
+        raise ValueError(f'tallies are given by name, such as {{"tail": mc.TailHistogram()}}, got {tallies!r}')
 
 
 @jax.jit
@@ -40,6 +48,7 @@ class Run:
         lanes=LANES, part: Part = WHOLE, view=None,
     ):  # fmt: skip
         backend.check_arithmetic()
+        _check_tallies(tallies)
         if "moments" in (tallies or {}):
             raise ValueError('the name "moments" is taken by the estimate itself; give your tally another name')
         self.started, self.seconds_before = time.perf_counter(), 0.0
@@ -48,7 +57,8 @@ class Run:
         self.mesh = backend.mesh()
         devices = self.mesh.size if self.mesh else 1
         # Every device gets as many blocks; the last ones may be empty.
-        self.workers, self.blocks, self.rows = workers or backend.workers(), -(-blocks // devices) * devices, rows
+        self.workers = backend.workers() if workers is None else positive("workers", workers)
+        self.blocks, self.rows = -(-blocks // devices) * devices, rows
         self.items, self.lanes, self.part, self.keeper = items, lanes, part, None
         about = {"key": key, "sampler": repr(sampler), **part.about}
         count = items if part.chosen is None else len(part.chosen)
