@@ -9,7 +9,7 @@ import time
 from contextvars import ContextVar
 from pathlib import Path
 
-from . import storage
+from . import machines, storage
 from .estimate import Estimate
 from .recipes import difference, recipe
 from .sums import Sums
@@ -63,6 +63,18 @@ def keep(run, checkpoint, n, target, bar, make) -> Estimate:
     return keeper.grown(make)
 
 
+def is_first() -> bool:
+    """Return whether this process is the one that writes."""
+    team = machines.team()
+    return team is None or team.rank == 0
+
+
+def meet():
+    """Let all processes read a file before one of them writes it, or the other way round."""
+    if team := machines.team():
+        team.meet()
+
+
 class Keeper:
     """Writes the sums of a run into the file of a checkpoint, and takes them up from there."""
 
@@ -73,9 +85,12 @@ class Keeper:
 
     def resume(self, bar):
         """Take up what is in the file, if there is one. Raises ``ValueError`` where that is of no use."""
-        if self.path.exists():
-            self.take_up(self.load())
-            bar.begin_at(self.run.sums.drawn)
+        try:
+            if self.path.exists():
+                self.take_up(self.load())
+                bar.begin_at(self.run.sums.drawn)
+        finally:
+            meet()
 
     def grown(self, make) -> Estimate:
         """Return the estimate of ``make()``, which is kept when it took ``at_least`` some seconds."""
@@ -122,6 +137,7 @@ class Keeper:
         sums.seconds = estimate.seconds
         if sums.seconds >= self.at_least:
             self.write()
+            meet()
         return dataclasses.replace(estimate, sums=sums)
 
     def write(self):
@@ -133,7 +149,8 @@ class Keeper:
         sums.recipe = self.recipe
         if not sums.finished:
             sums.seconds = self.run.seconds
-        storage.save(self.path, sums)
+        if is_first():
+            storage.save(self.path, sums)
         took = time.monotonic() - began
         self.due = time.monotonic() + (max(self.seconds, took / SHARE) if self.seconds else 0.0)
 

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from .. import backend
+from . import machines
 from .counts import positive
 from .estimate import Estimate
 from .kernel import LANES, ROWS, evaluate, item_jobs, stream_jobs
@@ -158,6 +159,11 @@ class Run:
                 records, example = call(job)
                 return job, blocks, jax.tree.map(lambda x: np.asarray(x)[:blocks], records), example
 
+        team = machines.team()
+        if team and np.isfinite(deadline):
+            raise ValueError(
+                "processes that work together have clocks of their own: give n or a target, no max_seconds"
+            )
         jobs = self._jobs(*sums.pending)
         begin = list(itertools.islice(jobs, 2))
         if len(begin) < 2:
@@ -167,7 +173,13 @@ class Run:
             # Compile once, on a job that wants no samples.
             if not sums.states:
                 sums.begin(*call(begin[0]._replace(rows=np.zeros_like(begin[0].rows))))
-            results = ordered_map(records_of, itertools.chain(begin, jobs), self.workers)
+            jobs, count = itertools.chain(begin, jobs), self.workers
+            if team:
+                shapes = evaluate.eval_shape(
+                    *given, index_words(begin[0].base), *begin[0][1:3], **static, mesh=self.mesh
+                )
+                records_of, jobs, count = team.shared(records_of, shapes), enumerate(jobs), count * team.size
+            results = ordered_map(records_of, jobs, count)
         for job, blocks, records, example in results:
             sums.begin(records, example)
             sums.add(records, job)
