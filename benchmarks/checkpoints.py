@@ -25,7 +25,7 @@ from jaxmc.scenes import cornell_box
 
 RESULTS = Path(__file__).parent / "results" / "checkpoints.json"
 SIZE, SPP = 512, 64
-PARTS = 4
+PARTS, LARGE, FEW = 4, 1536, 16  # parts of a large image of few samples
 
 
 def steep(u):
@@ -91,10 +91,10 @@ def share(folder, seconds):
 
 def part(way, number, path):
     """Make a part of an image, and print the largest memory of this process."""
-    pixels = SIZE // PARTS
-    by = {"samples": {"indices": range(number * SPP // PARTS, (number + 1) * SPP // PARTS)}}
-    by["tiles"] = {"tiles": [(0, number * pixels, SIZE, pixels)]}
-    image(checkpoint=path, **by[way])
+    pixels = LARGE // PARTS
+    by = {"samples": {"indices": range(number * FEW // PARTS, (number + 1) * FEW // PARTS)}}
+    by["tiles"] = {"tiles": [(0, number * pixels, LARGE, pixels)]}
+    image(LARGE, FEW, checkpoint=path, **by[way])
     print("memory", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
 
 

@@ -15,7 +15,7 @@ from .recipes import difference, recipe
 from .sums import Sums
 
 SECONDS = 10.0
-SHARE = 0.01  # of the time that may go into writing
+SHARE = 0.005  # of the time that may go into writing, the last time aside
 folder_in_use: ContextVar = ContextVar("folder of checkpoints", default=None)  # see folders
 
 
@@ -25,7 +25,7 @@ class Checkpoint:
 
     Attributes:
         path: of the file, such as ``"run.npz"``.
-        seconds: from one write to the next; more where writing takes over 1 % of that. 0 writes after every kernel
+        seconds: from one write to the next; more where writing takes over 0.5 % of that. 0 writes after every kernel
             call, whatever that costs.
 
     Raises:
