@@ -146,7 +146,7 @@ class Run:
         """Add the samples of ``ranges``, or what is left of them; return whether there was the time for all."""
         sums, x64 = self.sums, jax.config.jax_enable_x64
         (given, static), sums.points = self.kernel_arguments(points), points
-        sums.pending = sums.pending or (list(ranges), 0)
+        ranges, done = sums.pending = sums.pending or (list(ranges), 0)
 
         def call(job):
             return evaluate(*given, index_words(job.base), job.offset, job.rows, **static, mesh=self.mesh)
@@ -164,7 +164,7 @@ class Run:
             raise ValueError(
                 "processes that work together have clocks of their own: give n or a target, no max_seconds"
             )
-        jobs = self._jobs(*sums.pending)
+        jobs = self._jobs(ranges, done)
         begin = list(itertools.islice(jobs, 2))
         if len(begin) < 2:
             results = map(records_of, begin)  # no threads for a single call
@@ -173,21 +173,22 @@ class Run:
             # Compile once, on a job that wants no samples.
             if not sums.states:
                 sums.begin(*call(begin[0]._replace(rows=np.zeros_like(begin[0].rows))))
-            jobs, count = itertools.chain(begin, jobs), self.workers
+            do, jobs, count = records_of, itertools.chain(begin, jobs), self.workers
             if team:
                 shapes = evaluate.eval_shape(
                     *given, index_words(begin[0].base), *begin[0][1:3], **static, mesh=self.mesh
                 )
-                records_of, jobs, count = team.shared(records_of, shapes), enumerate(jobs), count * team.size
-            results = ordered_map(records_of, jobs, count)
+                do, jobs, count = team.shared(records_of, shapes), enumerate(jobs), count * team.size
+            results = ordered_map(do, jobs, count)
         for job, blocks, records, example in results:
             sums.begin(records, example)
             sums.add(records, job)
-            sums.pending = sums.pending[0], sums.pending[1] + blocks
+            done += int(blocks)
+            sums.pending = ranges, done
             bar.update(job.samples)
             if self.keeper:
                 self.keeper.after_job()
             if time.perf_counter() > deadline:
                 return False
-        sums.ranges, sums.pending = sums.ranges + sums.pending[0], None
+        sums.ranges, sums.pending = sums.ranges + list(ranges), None
         return True
