@@ -184,7 +184,7 @@ def _joined(options) -> Path:
             jax.distributed.initialize(options.address, **given)
         except (RuntimeError, ValueError) as error:
             raise ValueError(f"--distributed needs --address, --processes and --rank: {error}") from error
-        team = machines.join()
+        team = machines.join_processes()
         if team and team.rank:
             options.quiet, options.out = True, tempfile.mkdtemp()
     return kept

@@ -18,7 +18,7 @@ CODE = """
 import sys, jax, jaxmc, test_devices
 from jaxmc.integration import machines
 jax.distributed.initialize("127.0.0.1:{port}", {count}, int(sys.argv[1]))
-assert machines.join().size == {count}
+assert machines.join_processes().size == {count}
 print("digests", *test_devices.integrals(), *test_devices.image())
 """
 
@@ -44,7 +44,7 @@ def said(process):
 def test_alone_there_is_no_team():
     assert machines.team() is None
     with pytest.raises(ValueError, match=r"jax\.distributed\.initialize"):
-        machines.join()
+        machines.join_processes()
 
 
 @pytest.mark.slow

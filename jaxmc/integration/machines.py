@@ -121,7 +121,7 @@ class Team:
 _teams: list[Team] = []
 
 
-def join() -> Team | None:
+def join_processes() -> Team | None:
     """Let all processes of ``jax.distributed`` make estimates together from now on; None if there is but one.
 
     All must call ``integrate`` and ``render`` in the same order with the same arguments, and run on processors of one
