@@ -83,7 +83,7 @@ def stored():
 CONTENT: list[bytes] = []
 
 
-@fuzzed(150)
+@fuzzed(100)
 def test_files_that_are_damaged(seed):
     choose = random.Random(seed)
     CONTENT[:] = CONTENT or stored()
@@ -202,7 +202,7 @@ OPTIONS = {
 }  # fmt: skip
 
 
-@fuzzed(200)
+@fuzzed(80)
 def test_options_of_integrate(seed):
     choose = random.Random(seed)
     names = choose.sample(list(OPTIONS), choose.randint(1, 4))
