@@ -4,6 +4,7 @@ Each test is run on a few inputs, and on 10,000 of them as a slow one.
 """
 
 import contextlib
+import copy
 import io
 import json
 import random
@@ -130,7 +131,9 @@ def test_files_that_are_forged(seed):
         if fault == "delete":
             inside.pop(last)
         elif fault == "replace":
-            inside[last] = choose.choice([*WRONG, {"array": 0}, {"class": "Sums", "fields": {}}, {"name": "x"}])
+            inside[last] = copy.deepcopy(
+                choose.choice([*WRONG, {"array": 0}, {"class": "Sums", "fields": {}}, {"name": "x"}])
+            )
         else:
             *path, other = choose.choice(list(places(head)))
             value = head
