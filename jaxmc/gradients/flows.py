@@ -14,7 +14,7 @@ import numpy as np
 
 from ..transport.flats import FlatLight
 from ..transport.primitives import is_concrete
-from ..transport.vec import Vec3, cross, dot, normalize, smaller, where
+from ..transport.vec import Vec3, cross, dot, larger, smaller, where
 
 
 class Faces(NamedTuple):
@@ -101,13 +101,13 @@ def flow(face: Faces, point: Vec3, wi: Vec3, distance) -> Flowed:
     """Return how a sample on a face, seen from ``point``, moves.
 
     ``wi`` and ``distance`` say where the sample is; both count as constants. The direction is equal to ``wi``, the
-    ratio to 1; their derivatives are those of the flow.
+    ratio to 1; their derivatives are those of the flow, written out: sums of what moves times what is known.
     """
     wi, distance = still(wi), still(distance)
     start, fixed = still(point), still(face)
     to_center = fixed.center - start
     outside = (fixed.radius > 0.0) & (dot(to_center, to_center) > fixed.radius * fixed.radius)
-    pinned, in_cone = _pinned(face, fixed, point, wi, distance), _in_cone(face, point, wi, distance, outside)
+    pinned, in_cone = _pinned(face, fixed, point, wi, distance), _in_cone(face, fixed, point, wi, distance, outside)
     return Flowed(*(where(outside, a, b) for a, b in zip(in_cone, pinned)))
 
 
@@ -116,41 +116,61 @@ def _pinned(face, fixed, point, wi, distance):
     target = still(point) + wi * distance
     offset = target - fixed.center
     across = cross(fixed.half_u, fixed.half_v)
-    squared = dot(across, across)
-    inverse = 1.0 / jnp.where(squared > 0.0, squared, 1.0)
+    inverse = _inverse(dot(across, across))
     u, v = dot(cross(offset, fixed.half_v), across) * inverse, dot(cross(fixed.half_u, offset), across) * inverse
     is_sphere = fixed.radius > 0.0
-    outward = offset * (1.0 / jnp.where(is_sphere, fixed.radius, 1.0))
-    moved = motion(face.center) + motion(face.half_u) * u + motion(face.half_v) * v
-    place = target + moved + outward * jnp.where(is_sphere, motion(face.radius), 0.0)
-    to = place - point
-    normal = where(is_sphere, outward * (face.radius * face.radius), cross(face.half_u, face.half_v))
-    length = dot(to, to)
-    return Flowed(place, attach(wi, normalize(to)), ratio(dot(normal, to) / (length * jnp.sqrt(length))))
+    outward = offset * _inverse(fixed.radius)
+    place = face.center + face.half_u * u + face.half_v * v + outward * jnp.where(is_sphere, face.radius, 0.0)
+    to, near = place - point, 1.0 / distance
+    along = dot(wi, to) * near
+    # The logarithm of cosine and area: of (half_u x half_v) . to, of a sphere's radius^2 outward . to.
+    normal = where(is_sphere, outward, across)
+    height = _inverse(dot(normal, wi) * distance)
+    area = dot(face.half_u, cross(fixed.half_v, wi)) + dot(face.half_v, cross(wi, fixed.half_u))
+    area = jnp.where(is_sphere, 2.0 * face.radius * _inverse(fixed.radius), area * (height * distance))
+    log_ratio = area + dot(normal, to) * height - 3.0 * along
+    return Flowed(attach(target, place), attach(wi, to * near - wi * along), attach(jnp.ones_like(distance), log_ratio))
 
 
-def _in_cone(face, point, wi, distance, outside):
-    """Keep the sample at its share s of 1 - cos within the cone of a sphere, and at its azimuth, to first order."""
-    moving = where(outside, face.center - point, Vec3(1.0, 0.0, 0.0))
-    radius = jnp.where(outside, face.radius, 0.5)
-    axis, most = _cone(moving, radius)
-    first, first_most = _cone(still(moving), still(radius))
-    apart = wi - first
-    share = smaller(0.5 * dot(apart, apart) / first_most, 1.0)
-    aside = wi - first * dot(wi, first)
-    squared = dot(aside, aside)
-    known = squared > 0.0
-    aside = where(known, aside * (1.0 / jnp.sqrt(jnp.where(known, squared, 1.0))), Vec3(0.0, 0.0, 0.0))
+def _in_cone(face, fixed, point, wi, distance, outside):
+    """Keep the sample at its share s of 1 - cos within the cone of a sphere, and at its azimuth.
+
+    With 1 - cos = s m, m that of the cone: m goes as sin^2 / (2 cos) of the cone's angle; the azimuth follows the axis
+    as a rigid rotation does; and the hit is the near root, without the square root of a difference at the rim.
+    """
+    moving, to = face.center - point, where(outside, fixed.center - still(point), Vec3(1.0, 0.0, 0.0))
+    inverse = 1.0 / jnp.sqrt(dot(to, to))
+    axis, sine = to * inverse, jnp.where(outside, fixed.radius, 0.5) * inverse
+    cosine = jnp.sqrt(1.0 - sine * sine)
+    most = sine * sine / (1.0 + cosine)
+    apart = wi - axis
+    share = smaller(0.5 * dot(apart, apart) / most, 1.0)
     height = share * most
-    sine = jnp.sqrt(jnp.where(known, height * (2.0 - height), 1.0))
-    # The azimuth follows the axis as a rigid rotation does.
-    upright = aside - axis * dot(aside, axis)
-    upright = normalize(where(known, upright, Vec3(1.0, 0.0, 0.0)))
-    wi = attach(wi, axis * (1.0 - height) + upright * jnp.where(known, sine, 0.0))
-    # The near root, without the square root of a difference at the rim.
-    chord = jnp.sqrt(most * ((2.0 - most) - height)) * jnp.sqrt(1.0 - share)
-    length = attach(distance, jnp.sqrt(dot(moving, moving)) * ((1.0 - height) - chord))
-    return Flowed(point + wi * length, wi, ratio(most))
+    aside = wi - axis * dot(wi, axis)
+    squared = dot(aside, aside)
+    aside = aside * jnp.where(squared > 0.0, 1.0 / jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)), 0.0)
+    # Of the axis, of m and of s m.
+    along = dot(axis, moving)
+    turn = (moving - axis * along) * inverse
+    widening = (face.radius - along * sine) * (sine * inverse) / cosine
+    rising = widening * share
+    lean = jnp.sqrt(height * (2.0 - height))
+    outward = rising * ((1.0 - height) * _inverse(lean)) * jnp.where(squared > 0.0, 1.0, 0.0)
+    turned = turn * (1.0 - height) - axis * rising + aside * outward - axis * (dot(aside, turn) * lean)
+    # Of the distance, (1 - s m) - chord times that of the centre.
+    rest = larger((2.0 - most) - height, 0.0)
+    open_ = jnp.sqrt(1.0 - share)
+    chord = jnp.sqrt(most * rest) * open_
+    narrowing = (widening * rest - most * (widening + rising)) * (0.5 * open_ * _inverse(jnp.sqrt(most * rest)))
+    length = along * ((1.0 - height) - chord) - (rising + narrowing) * (1.0 / inverse)
+    place = point + turned * distance + wi * length
+    target = still(point) + wi * distance
+    return Flowed(attach(target, place), attach(wi, turned), attach(jnp.ones_like(distance), widening / most))
+
+
+def _inverse(x):
+    """Return 1 / x, 0 where x is 0."""
+    return jnp.where(x != 0.0, 1.0 / jnp.where(x != 0.0, x, 1.0), 0.0)
 
 
 def carried(face: Faces, point: Vec3, wi: Vec3, distance) -> Vec3:
@@ -169,19 +189,14 @@ def carried(face: Faces, point: Vec3, wi: Vec3, distance) -> Vec3:
 
 def normal_at(face: Faces, point: Vec3, normal: Vec3) -> Vec3:
     """Return the unit normal of a face at a point of it; ``normal`` is what it is now, on either side."""
-    is_sphere = still(face.radius) > 0.0
-    across = where(is_sphere, point - face.center, cross(face.half_u, face.half_v))
-    known = still(dot(across, across)) > 0.0
-    across = normalize(where(known, across, Vec3(0.0, 0.0, 1.0)))
-    side = jnp.where(dot(still(across), still(normal)) < 0.0, -1.0, 1.0)
-    return attach(still(normal), across * jnp.where(known, side, 0.0))
-
-
-def _cone(to_center, radius):
-    """Return the axis of a sphere's cone, and 1 - cos of its half angle."""
-    squared = dot(to_center, to_center)
-    sine2 = radius * radius / squared
-    return to_center * (1.0 / jnp.sqrt(squared)), sine2 / (1.0 + jnp.sqrt(1.0 - sine2))
+    fixed = still(face)
+    across = where(fixed.radius > 0.0, still(point) - fixed.center, cross(fixed.half_u, fixed.half_v))
+    size = _inverse(jnp.sqrt(larger(dot(across, across), 0.0)))
+    side = jnp.where(dot(across, still(normal)) < 0.0, -size, size)
+    turned = cross(face.half_u, fixed.half_v) + cross(fixed.half_u, face.half_v)
+    turned = where(fixed.radius > 0.0, point - face.center, turned)
+    unit = still(normal)
+    return attach(unit, (turned - unit * dot(unit, turned)) * side)
 
 
 def ratio(x):
