@@ -1,15 +1,18 @@
 """Derivatives of whole paths against closed forms: silhouettes on the film, shadows, other surfaces, mirrors, glass."""
 
+import dataclasses
 import json
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import two_bounce_reference
 from moving_scenes import SCENES
 
 import jaxmc as mc
-from jaxmc.gradients import boundary, jumps, walks
+from jaxmc.gradients import boundary, walks
+from jaxmc.gradients.derivative import derivatives
 
 TABLE = json.loads((Path(__file__).parent / "data" / "two_bounce.json").read_text())
 KINDS = {"film": mc.moving_paths, "point": mc.moving_irradiance, "ray": mc.moving_radiance}
@@ -45,4 +48,155 @@ def test_every_closed_form(name):
     scene = BY_NAME[name]
     found = mc.grad_integrate(made(scene), scene.params, n=1 << 16, sampler=mc.Sobol())
     check(found, scene.truth()[1])
+    assert found.nonfinite == 0
+
+
+def two_bounces(params):
+    return mc.moving_paths(*two_bounce_reference.make(params), bounces=2)
+
+
+def one_bounce(params):
+    return mc.moving_paths(*two_bounce_reference.make(params), bounces=1)
+
+
+def derivatives_of(*parts):
+    return {k: sum(TABLE[part]["derivatives"][k] for part in parts) for k in two_bounce_reference.PARAMS}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make, parts", [(one_bounce, ["direct"]), (two_bounces, ["direct", "indirect"])])
+def test_light_that_comes_over_one_surface_or_two(make, parts):
+    """Lamp, blocker, floor, wall and camera, by 13 numbers, against quadrature."""
+    found = mc.grad_integrate(
+        make, dict(two_bounce_reference.PARAMS), n=1 << 19, boundary_n=1 << 20, sampler=mc.Sobol(), mode="reverse"
+    )
+    check(found, derivatives_of(*parts), grain=2e-5)
+    # Without the boundary a blocker does not matter at all but for what it reflects.
+    assert found.interior.mean["blocker_x"] == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", ["film", "shadow", "outline"])
+def test_every_part_of_the_boundary_is_needed(monkeypatch, part):
+    def nothing(world, *args, **kwargs):
+        return walks.black(world.rest)
+
+    name = {"film": "jump", "shadow": "shadows", "outline": "outlines"}[part]
+    monkeypatch.setattr(boundary, name, nothing)
+    camera = {"camera_x": 0.1} if part == "film" else {}
+
+    def make(params):
+        return two_bounces(two_bounce_reference.PARAMS | params)
+
+    names = [*camera, "blocker_x", "wall"]
+    params = {k: two_bounce_reference.PARAMS[k] for k in names}
+    found = mc.grad_integrate(make, params, n=1 << 18, sampler=mc.Sobol(), mode="forward")
+    with pytest.raises(AssertionError):
+        check(found, {k: derivatives_of("direct", "indirect")[k] for k in names}, grain=2e-5)
+
+
+# --------------------------------------------------------------------------------------- what holds in every scene
+
+
+ROOM = {
+    "lamp": np.array([-0.4, -0.4, 1.95]),
+    "crate": np.array([0.35, 0.1, 0.5]),
+    "ball": np.array([-0.5, 0.2, 0.45]),
+    "size": np.array(1.0),
+    "eye": np.array([0.1, -3.0, 1.2]),
+}
+
+
+def room(p, turn=None, scale=1.0, offset=0.0):
+    """A room with a mirror on a wall, a crate, a ball of metal and a lamp: everything turned, scaled and moved."""
+    turn = np.eye(3) if turn is None else turn
+
+    def there(x):
+        return scale * (turn @ jnp.asarray(x, float)) + offset
+
+    def along(x):
+        return scale * (turn @ jnp.asarray(x, float))
+
+    white, metal = mc.Diffuse(0.6), mc.RoughConductor(0.3, 0.8)
+    c, s = np.cos(0.5), np.sin(0.5)
+    axes = [turn @ jnp.asarray(a) for a in ([c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0])]
+    scene = mc.Scene([
+        mc.Quad(there([-1.5, -1.5, 0.0]), along([3.0, 0.0, 0.0]), along([0.0, 3.0, 0.0]), white),
+        mc.Quad(there([-1.5, 1.5, 0.0]), along([3.0, 0.0, 0.0]), along([0.0, 0.0, 2.2]), mc.Mirror(0.9)),
+        mc.Quad(there(p["lamp"]), along([0.0, 0.8, 0.0]), along([0.8, 0.0, 0.0]), white, emission=6.0),
+        mc.Box(there(p["crate"]), scale * p["size"] * np.array([0.4, 0.3, 0.5]), jnp.stack(axes), white),
+        mc.Sphere(there(p["ball"]), scale * 0.3, metal),
+    ])  # fmt: skip
+    camera = mc.PinholeCamera(there(p["eye"]), there([0.0, 0.0, 0.6]), turn @ np.array([0.0, 0.1, 1.0]), 50.0, 16, 16)
+    return mc.moving_paths(scene, camera, bounces=2)
+
+
+def moved(p):
+    return room(ROOM, offset=p)
+
+
+def scaled(p):
+    return room(ROOM, scale=p)
+
+
+def turned(p):
+    x, y, z = p
+    zero = 0.0 * x
+    skew = jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
+    return room(ROOM, turn=jnp.eye(3) + skew)
+
+
+@pytest.mark.slow
+def test_moving_everything_changes_nothing():
+    parts = derivatives(moved, jnp.zeros(3), "forward")
+    size = np.abs(
+        mc.draw(derivatives(lambda x: room(ROOM | {"ball": x}), ROOM["ball"], "forward").boundary, n=4096).value
+    )
+    still = np.abs(mc.draw(parts.boundary, n=4096).value)
+    assert size.max() > 0.01 and still.max() < 1e-4 * size.max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make, at", [(scaled, 1.0), (turned, np.zeros(3))])
+def test_scaling_and_turning_everything_changes_nothing(make, at):
+    found = mc.grad_integrate(make, at, n=1 << 18, mode="forward", key=5)
+    mean, error = np.asarray(found.mean), np.asarray(found.stderr)
+    assert np.all(np.abs(mean) < 4.5 * error)
+    one = mc.grad_integrate(lambda x: room(ROOM | {"eye": x}), ROOM["eye"], n=1 << 18, mode="forward", key=5)
+    assert np.max(error) < 0.2 * np.max(np.abs(one.mean))
+
+
+@pytest.mark.slow
+def test_emission_is_linear_and_values_are_those_of_paths():
+    def make(p):
+        scene, camera = two_bounce_reference.make(two_bounce_reference.PARAMS)
+        *others, lamp = scene.given[0]
+        bright = dataclasses.replace(lamp, emission=p)
+        return mc.moving_paths(mc.Scene([*others, bright]), camera, bounces=2)
+
+    start = float(two_bounce_reference.make(two_bounce_reference.PARAMS)[0].given[0][-1].emission)
+    slope = mc.draw(derivatives(make, start, "forward").interior, n=4096, key=2).value
+    made = make(start)
+    value = mc.draw(made.interior, n=4096, key=2).value
+    assert np.allclose(slope * start, value, rtol=2e-4, atol=1e-5)
+    scene, camera = two_bounce_reference.make(two_bounce_reference.PARAMS)
+    plain = mc.draw(mc.path_integrand(scene, camera, bounces=2), n=4096, key=2).value
+    assert np.allclose(plain, value, rtol=2e-4, atol=1e-5)
+    assert np.all(mc.draw(made.boundary, n=4096, key=2).value == 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_nothing_is_lost_to_rounding(mode):
+    """A furnace of one albedo: no geometry matters, and no derivative is NaN."""
+
+    def make(p):
+        walls = mc.Box(p["center"], p["size"], material=mc.Diffuse(0.5), emission=1.0)
+        return mc.moving_paths(
+            mc.Scene([walls, mc.Sphere(p["ball"], 0.3, mc.Diffuse(0.5), emission=1.0)]),
+            mc.PinholeCamera((0.5, 0.4, 0.3), (-0.5, -0.2, 0.1), fov=60.0, width=8, height=8), bounces=12,
+        )  # fmt: skip
+
+    params = {"center": np.zeros(3), "size": np.array([2.0, 2.0, 2.0]), "ball": np.array([-0.4, -0.2, 0.2])}
+    found = mc.grad_integrate(make, params, n=1 << 16, mode=mode, key=1)
     assert found.nonfinite == 0

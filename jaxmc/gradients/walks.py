@@ -24,6 +24,9 @@ from .flows import attach, carried, flow, normal_at, one_of, ratio, still
 from .world import World
 
 
+KEPT = 8  # events of which reverse mode keeps everything
+
+
 class Walk(NamedTuple):
     """A path on its way: its last ray and what that has met, at rest; and in motion the point there, the direction in
     which it arrives, and throughput.
@@ -194,7 +197,9 @@ def follow(world: World, strategy, u, first, walk: Walk, bounces):
     state = jax.tree.map(as_state, (walk, black(world.rest)))
     if bounces == 1:
         return event(state, 0)[0][1]
-    return lax.scan(event, state, jnp.arange(bounces))[0][1]
+    # Of long paths keep what each event began with, and do it again on the way back.
+    again = jax.checkpoint(event) if bounces > KEPT else event
+    return lax.scan(again, state, jnp.arange(bounces))[0][1]
 
 
 def as_state(x):
