@@ -15,7 +15,7 @@ VIEW = np.pi / 4.0
 OFFSET = 0.15  # beyond the mirror direction, away from the normal
 SHARPNESS = 30.0  # of the lobe exp(SHARPNESS (cos - 1)): half of it lies within 12 degrees, 84 % within 20
 HALF_ANGLE = np.radians(5.0)  # of the disk
-ALONG, AROUND = 800, 512  # nodes
+ALONG, AROUND = 600, 300  # nodes
 TINY = 1e-30
 
 

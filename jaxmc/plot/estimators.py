@@ -12,15 +12,14 @@ SIGMAS = 5.0
 def relative_biases(ax, names, means, stderrs, exact, biased):
     """Draw (mean - exact) / |exact| of each estimator with bars of 5 standard errors, the first one on top.
 
-    ``biased``: which are called so; those stand in another colour. The axis is linear up to 1 %, logarithmic beyond.
+    ``biased``: which are called so; those are orange, others blue. The axis is linear up to 1 %, logarithmic beyond.
     """
     rows, scale = np.arange(len(names)), abs(exact)
     off, bars = (np.asarray(means) - exact) / scale, SIGMAS * np.asarray(stderrs) / scale
     for flag, color in ((False, SOUND), (True, BIASED)):
         here = np.asarray(biased) == flag
         if here.any():
-            label = "biased" if flag else "no bias seen"
-            ax.errorbar(off[here], rows[here], xerr=bars[here], fmt="o", ms=4, lw=1.2, color=color, label=label)
+            ax.errorbar(off[here], rows[here], xerr=bars[here], fmt="o", ms=4, lw=1.2, color=color)
     ax.axvline(0.0, color="k", lw=0.8)
     ax.set_yticks(rows, names)
     ax.set_xscale("symlog", linthresh=0.01, linscale=0.6)
@@ -31,7 +30,6 @@ def relative_biases(ax, names, means, stderrs, exact, biased):
     ax.set(xlim=(-widest, widest), ylim=(len(names) - 0.4, -0.6), xlabel="mean less exact, and 5 errors; relative")
     ax.tick_params(labelsize=8)
     ax.grid(alpha=0.3, axis="x")
-    ax.legend(fontsize=8, loc="best")
 
 
 def noise_bars(ax, values, biased, xlabel):
@@ -52,8 +50,9 @@ def noise_by_roughness(ax, x, curves, title, ylabel):
     """Draw a number against roughness for each estimator; ``curves``: label -> (values, biased). Biased ones are
     dashed; ``shared_legend`` names them.
     """
+    colors = (*LINE_COLORS, "0.5")
     for k, (label, (values, biased)) in enumerate(curves.items()):
-        style = {"color": LINE_COLORS[k % len(LINE_COLORS)], "marker": LINE_MARKERS[k // len(LINE_COLORS)]}
+        style = {"color": colors[k % len(colors)], "marker": LINE_MARKERS[k % len(LINE_MARKERS)]}
         ax.plot(x, values, ls="--" if biased else "-", ms=4, lw=1.2, label=label, **style)
     ax.set(xscale="log", yscale="log", xlabel="roughness", ylabel=ylabel)
     ax.set_title(title, fontsize=10)

@@ -150,7 +150,7 @@ def _show(report, task, rows, words):
     fig, (left, right) = plot.panels(2, 2, (5.6, 0.24 * len(rows) + 1.1))
     plot.relative_biases(left, names, [f.mean for f in rows], [f.stderr for f in rows], task.exact, biased)
     plot.noise_bars(right, [f.variance for f in rows], biased, "variance of one sample")
-    report.figure(fig, task.name.replace(",", "").replace(" ", "_"), f"{task.name}: bias and noise of each estimator.")
+    report.figure(fig, task.name.replace(",", "").replace(" ", "_"), f"{task.name}. Orange: biased.")
     report.value(task.name, [f._asdict() for f in rows])
 
 
