@@ -110,7 +110,7 @@ def blurred(make_integrand: Callable[[Any], Any], params, width) -> Drawn:
     Raises:
         ValueError: a width that is not positive, or parameters that are no floats.
 
-    Source: Salimans et al. (2017), evolution strategies; Rubinstein and Melamed (1998), smoothed functionals.
+    Source: Katkovnik and Kulchitsky (1972), smoothed functionals; Salimans et al. (2017), evolution strategies.
     """
     params = as_params(params)
     if not (np.isscalar(width) and width > 0.0):
