@@ -30,6 +30,7 @@ from analytic_scenes import (
     occlusion,
     pixels,
     receivers,
+    rough_lights,
     rough_metal,
     roulette,
     sensors,
@@ -97,6 +98,7 @@ from analytic_scenes.occlusion import (
     open_under_two_spheres,
 )
 from analytic_scenes.pixels import half_plane_pixel, sphere_pixel
+from analytic_scenes.rough_lights import rough_metal_under
 from analytic_scenes.rough_metal import rough_floor, rough_floor_from_above
 from analytic_scenes.roulette import absorption_furnace, critical_roulette_albedo, path_length, roulette_furnace
 from analytic_scenes.scene import AnalyticScene, value_and_derivatives
@@ -231,7 +233,9 @@ __all__ = [
     "rectangle_solid_angle",
     "rough_floor",
     "rough_floor_from_above",
+    "rough_lights",
     "rough_metal",
+    "rough_metal_under",
     "roulette",
     "roulette_furnace",
     "sensors",

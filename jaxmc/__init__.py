@@ -16,6 +16,13 @@ from .gradients.check import gradcheck as gradcheck
 from .gradients.derivative import Gradient as Gradient
 from .gradients.derivative import WithBoundary as WithBoundary
 from .gradients.derivative import grad_integrate as grad_integrate
+from .gradients.estimators import Drawn as Drawn
+from .gradients.estimators import ScoreControl as ScoreControl
+from .gradients.estimators import attached_integrand as attached_integrand
+from .gradients.estimators import blurred as blurred
+from .gradients.estimators import difference_integrand as difference_integrand
+from .gradients.estimators import score_control as score_control
+from .gradients.estimators import score_integrand as score_integrand
 from .gradients.images import render_grad as render_grad
 from .gradients.paths import direct_irradiance as direct_irradiance
 from .gradients.paths import mean_direct_irradiance as mean_direct_irradiance

@@ -21,6 +21,7 @@ from .studies import (
     cures,
     diffuse_emissive,
     flat_vs_nested,
+    gradients,
     light_sampling,
     mirror_box,
     primitives,
@@ -107,6 +108,11 @@ STUDIES = {
             "spp": (256, "samples per pixel of the pictures (default 256)"),
             "samples": (1 << 22, "samples of one point (default 2^22)"),
         },
+    ),
+    "gradients": Study(
+        "estimators of derivatives beside exact ones: bias, noise and cost",
+        gradients,
+        {"samples": (1 << 20, "samples of each part of an estimate (default 2^20)")},
     ),
 }
 

@@ -11,6 +11,9 @@ from .curves import mean_ranges as mean_ranges
 from .curves import rates as rates
 from .curves import rounding_errors as rounding_errors
 from .curves import time_to_error as time_to_error
+from .estimators import noise_bars as noise_bars
+from .estimators import noise_by_roughness as noise_by_roughness
+from .estimators import relative_biases as relative_biases
 from .figures import LINE_COLORS as LINE_COLORS
 from .figures import LINE_MARKERS as LINE_MARKERS
 from .figures import panels as panels
