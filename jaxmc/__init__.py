@@ -16,6 +16,9 @@ from .gradients.check import gradcheck as gradcheck
 from .gradients.derivative import Gradient as Gradient
 from .gradients.derivative import WithBoundary as WithBoundary
 from .gradients.derivative import grad_integrate as grad_integrate
+from .gradients.fitting import Fit as Fit
+from .gradients.fitting import fit as fit
+from .gradients.images import render_grad as render_grad
 from .gradients.paths import direct_irradiance as direct_irradiance
 from .gradients.paths import mean_direct_irradiance as mean_direct_irradiance
 from .gradients.paths import mean_moving_irradiance as mean_moving_irradiance
