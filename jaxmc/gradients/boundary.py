@@ -14,7 +14,6 @@ from jax import lax
 
 from ..transport import paths
 from ..transport.lights import black
-from ..transport.paths import finish
 from ..transport.strategy import Strategy
 from ..transport.vec import where
 from .jumps import jump, of_film, of_film_in_mirror, of_vertex_in_mirror
@@ -88,21 +87,28 @@ class Boundary:
             mirror = jnp.asarray(self.mirrors)[which]
         if hasattr(self.receiver, "part"):
             part = self.receiver.part(moving.values.place, *pixel)
-            total = total + self._on_film(moving, part, mirror, choice, u, after)
+
+            def importance(x, y):
+                return self.receiver.importance(moving, x, y, *pixel)
+
+            total = total + self._on_film(moving, part, importance, mirror, choice, u, after)
         if self.vertices:
             k, weight, vertex = self._vertex(moving, begun, choice, u)
-            total = total + self._around(moving, vertex, self.vertices - 1 - k, mirror, choice, u, after) * weight
-        return finish(self.strategy, total)
+            total = (
+                total
+                + self._around(moving, vertex, self.vertices - 1 - k, mirror, choice, u, after) * weight * begun.weight
+            )
+        return self.receiver.finish(self.strategy, total)
 
-    def _on_film(self, moving, part, mirror, choice, u, after):
+    def _on_film(self, moving, part, importance, mirror, choice, u, after):
         """Return what edges on the film add, seen directly and in a mirror."""
         bounces = self.strategy.bounces
         along = self._radiance(moving, u, after, bounces, bounces, emits=True)
-        total = jump(moving, self.found, *of_film(moving, part), choice("film: edge"), along)
+        total = jump(moving, self.found, *of_film(moving, part, importance), choice("film: edge"), along)
         if mirror is None:
             return total
         along = self._radiance(moving, u, after, bounces - 1, bounces - 1, emits=True)
-        view = of_film_in_mirror(moving, self.found, part, mirror)
+        view = of_film_in_mirror(moving, self.found, part, mirror, importance)
         seen = jump(moving, self.found, *view, choice("film: edge in a mirror"), along)
         return total + seen * float(len(self.mirrors))
 

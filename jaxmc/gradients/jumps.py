@@ -11,14 +11,14 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..transport.hits import Hit, at, unoccluded
+from ..transport.hits import Hit, at
 from ..transport.lights import black
 from ..transport.rays import ray
 from ..transport.vec import Vec3, cross, dot, normalize, where
 from .arcs import Cone, Halfspace, cone_around, corners_of, middle_of, pyramid
 from .curves import Place, draw, holds, kinds, look, pieces, place_on
 from .flows import Faces, flow, motion, normal_at, still
-from .shadows import draws, scan
+from .shadows import draws, is_free, scan
 from .silhouettes import Silhouettes
 from .walks import Vertex, evaluate
 from .world import World
@@ -55,8 +55,10 @@ class Rectangle(NamedTuple):
     bottom: Any
 
 
-def of_film(world: World, part: Rectangle):
-    """Return the window of a part of the film, and how it gives directions: for the mean radiance over that part."""
+def of_film(world: World, part: Rectangle, importance):
+    """Return the window of a part of the film, and how it gives directions: for the mean radiance over that part, times
+    ``importance(x, y)`` of film positions.
+    """
     camera = world.values.place
     fixed = still(camera)
     corners = _film_corners(fixed, part)
@@ -65,13 +67,13 @@ def of_film(world: World, part: Rectangle):
     window = Window(fixed.origin, camera.origin, bounds, cone_around(corners, inside, fixed.origin))
 
     def give(place):
-        used, moving, weight = _on_film(world, part, place.wi)
+        used, moving, weight = _on_film(world, part, place.wi, importance)
         return Given(used, moving, weight)
 
     return window, give
 
 
-def of_film_in_mirror(world: World, found: Silhouettes, part: Rectangle, face):
+def of_film_in_mirror(world: World, found: Silhouettes, part: Rectangle, face, importance):
     """Return the window of a part of the film, seen in a mirror."""
     camera, rest = world.values.place, world.rest
     fixed = still(camera)
@@ -82,8 +84,8 @@ def of_film_in_mirror(world: World, found: Silhouettes, part: Rectangle, face):
 
     def give(place):
         least, wi, is_seen = _through(world, found, face, window.point, place.wi)
-        used, moving, weight = _on_film(world, part, wi)
-        used = used & is_seen & unoccluded(rest, ray(fixed.origin, wi), least, -1, face, anywhere=True)
+        used, moving, weight = _on_film(world, part, wi, importance)
+        used = used & is_seen & is_free(world, found, fixed.origin, wi, least, -1, face)
         return Given(used, _reflected(world, face, moving), at(rest.reflectance, face) * weight, least)
 
     return window, give
@@ -99,7 +101,7 @@ def of_vertex_in_mirror(world: World, found: Silhouettes, strategy, vertex: Vert
     def give(place):
         least, wi, is_seen = _through(world, found, face, window.point, place.wi)
         used = draws(vertex) & is_seen & (dot(wi, surface.normal) > 0.0) & (surface.face != face)
-        used = used & unoccluded(rest, ray(surface.point, wi), least, surface.face, face, anywhere=True)
+        used = used & is_free(world, found, surface.point, wi, least, surface.face, face)
         pinned = flow(world.values.faces.at(face), vertex.moving.point, wi, jnp.where(used, least, 1.0)).wi
         still_vertex = jax.tree.map(still, vertex)
         value = still(evaluate(world, strategy, still_vertex, wi)[0]) * (1.0 / jnp.pi)
@@ -167,7 +169,7 @@ def _film_corners(camera, part: Rectangle) -> list[Vec3]:
     return [middle + camera.right * x + camera.down * y for x, y in places]
 
 
-def _on_film(world: World, part: Rectangle, wi: Vec3):
+def _on_film(world: World, part: Rectangle, wi: Vec3, importance):
     """Return whether a direction comes from a part of the film, how the direction of that film position moves, and the
     film's share per solid angle.
     """
@@ -178,7 +180,8 @@ def _on_film(world: World, part: Rectangle, wi: Vec3):
     used = (length > 0.0) & (x >= part.left) & (x <= part.right) & (y >= part.top) & (y <= part.bottom)
     moving = normalize(camera.forward + camera.right * still(x) + camera.down * still(y))
     volume = jnp.abs(dot(fixed.forward, cross(fixed.right, fixed.down))) * (part.right - part.left)
-    return used, wi + motion(moving), length**3 / (volume * (part.bottom - part.top))
+    share = length**3 / (volume * (part.bottom - part.top))
+    return used, wi + motion(moving), jax.tree.map(lambda w: w * share, importance(x, y))
 
 
 # ---------------------------------------------------------------------------------------------------------- mirrors

@@ -6,7 +6,6 @@ from typing import Any, Unpack
 from ..integration.integrand import Integrand
 from ..transport import integrands
 from ..transport.camera import Camera
-from ..transport.paths import finish
 from ..transport.primitives import as_vec3
 from ..transport.scene import Scene
 from ..transport.strategy import PathOptions, Strategy
@@ -43,9 +42,18 @@ def moving_paths(scene: Scene, camera: Camera, *, bounces, **options: Unpack[Pat
         ValueError: an option out of range, or one that makes another integral of it; a scene or a camera that is none.
         TypeError: an unknown option.
     """
+    return moving_film(OnFilm, scene, camera, bounces, options)
+
+
+def moving_film(receiver, scene, camera, bounces, options) -> WithBoundary:
+    """Return ``moving_paths`` for a class of receivers on a film."""
     integrand = integrands.path_integrand(scene, camera, bounces=bounces, **options)
-    place = integrand.params[1]
-    return _moving(scene, OnFilm(integrand.fn.far), place, bounces, options)
+    if not camera.antialias:
+        raise ValueError(
+            "a camera with antialias=False sees points of its film, whose radiance jumps where an edge passes: it has "
+            "no derivative; leave antialias=True"
+        )
+    return _moving(scene, receiver(integrand.fn.far), integrand.params[1], bounces, options)
 
 
 def moving_radiance(scene: Scene, origin, direction, *, bounces, **options: Unpack[PathOptions]) -> WithBoundary:
@@ -130,4 +138,5 @@ class Interior:
         if begun.vertex is not None:
             walk, total = scatter_at(moving, self.strategy, u, first, begun.vertex, 0, anywhere=True)
             first += len(self.strategy.coordinates(rest))
-        return finish(self.strategy, total + follow(moving, self.strategy, u, first, walk, self.strategy.bounces))
+        total = total + follow(moving, self.strategy, u, first, walk, self.strategy.bounces)
+        return self.receiver.finish(self.strategy, total * begun.weight)

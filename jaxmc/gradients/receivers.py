@@ -3,12 +3,14 @@
 import dataclasses
 from typing import Any, ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..transport import integrands
 from ..transport.bsdfs import kinds_of
 from ..transport.hits import Surface, face_at
+from ..transport.paths import finish
 from ..transport.rays import ray
 from ..transport.vec import Vec3, cross, normalize
 from .flows import still
@@ -18,18 +20,25 @@ from .world import World
 
 
 class Begun(NamedTuple):
-    """A path at its begin: at a vertex that receives light, or on its way with the radiance that it has met; and the
-    first of the coordinates that are left.
+    """A path at its begin: at a vertex that receives light, or on its way with the radiance that it has met; the first
+    of the coordinates that are left; and what its radiance is multiplied by.
     """
 
     vertex: Vertex | None
     walk: Walk | None
     met: Any
     first: int
+    weight: Any = 1.0
+
+
+class _Receiver:
+    def finish(self, strategy, radiance):
+        """Return the value of a path."""
+        return finish(strategy, radiance)
 
 
 @dataclasses.dataclass(frozen=True)
-class OnFilm:
+class OnFilm(_Receiver):
     """Mean radiance over the film, or over a pixel where its number is given; ``far`` as in ``integrands.Film``."""
 
     far: bool
@@ -50,9 +59,36 @@ class OnFilm:
         wide, high = 2.0 / camera.width, 2.0 / camera.height
         return Rectangle(x * wide - 1.0, y * high - 1.0, (x + 1) * wide - 1.0, (y + 1) * high - 1.0)
 
+    def importance(self, world: World, x, y, pixel=None):
+        """Return what radiance through a film position in [-1, 1]^2 is multiplied by."""
+        return 1.0
+
 
 @dataclasses.dataclass(frozen=True)
-class AlongRay:
+class WeightedFilm(OnFilm):
+    """The sum over all pixels and channels of an image times another one, which has an array (height, width) for each
+    channel.
+    """
+
+    def begin(self, u, world: World, image=None) -> Begun:
+        begun = super().begin(u, world)
+        return begun._replace(weight=self.importance(world, 2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0, image))
+
+    def part(self, camera, image=None) -> Rectangle:
+        return super().part(camera)
+
+    def importance(self, world: World, x, y, image=None):
+        camera = world.values.place
+        column = jnp.clip((0.5 * (x + 1.0) * camera.width).astype(int), 0, camera.width - 1)
+        row = jnp.clip((0.5 * (y + 1.0) * camera.height).astype(int), 0, camera.height - 1)
+        return jax.tree.map(lambda one: one[row, column] * float(camera.width * camera.height), image)
+
+    def finish(self, strategy, radiance):
+        return radiance.x + radiance.y + radiance.z if isinstance(radiance, Vec3) else radiance
+
+
+@dataclasses.dataclass(frozen=True)
+class AlongRay(_Receiver):
     """Radiance that arrives along one ray."""
 
     is_surface: ClassVar[bool] = False
@@ -65,7 +101,7 @@ class AlongRay:
 
 
 @dataclasses.dataclass(frozen=True)
-class AtPoint:
+class AtPoint(_Receiver):
     """Irradiance at a point, which is pi times what a white diffuse surface would reflect."""
 
     is_surface: ClassVar[bool] = True
@@ -76,7 +112,7 @@ class AtPoint:
 
 
 @dataclasses.dataclass(frozen=True)
-class OverFace:
+class OverFace(_Receiver):
     """Mean irradiance over a parallelogram, on the side of the cross product of its edges."""
 
     is_surface: ClassVar[bool] = True

@@ -51,27 +51,39 @@ def lamps_of(scene) -> tuple[Lamp, ...]:
 
 
 class Scan(NamedTuple):
-    """What a ray through a silhouette meets: distances of all faces, infinite for those that do not count, whether the
-    silhouette is seen, and the first thing behind it.
-    """
+    """What a ray through a silhouette meets: whether the silhouette is seen, and the first thing behind it."""
 
-    lengths: jax.Array
     seen: jax.Array
     behind: Hit
 
 
 def scan(world: World, found: Silhouettes, place: Place, point: Vec3, own, least=0.0) -> Scan:
-    """Return what a ray from ``point`` on face ``own`` meets; at a distance of ``least`` it comes through a window."""
-    rest, faces = world.rest, still(world.values.faces)
-    lengths = distances(found, faces, point, place.wi, own)
-    plane = np.array([[j == i or j in rest.twins[i] for j in range(rest.size)] for i in range(rest.size)])
-    plane &= np.array([i not in found.spheres for i in range(rest.size)])
-    flat_own = jnp.asarray(np.vstack([plane, np.zeros((1, rest.size), bool)]))[jnp.clip(own, -1, rest.size)]
-    flat_own = flat_own & (jnp.asarray(own) >= 0)
-    lengths = jnp.where(place.skip | flat_own | (lengths <= least), jnp.inf, lengths)
+    """Return what a ray from ``point`` on face ``own`` meets, farther away than ``least``."""
+    lengths = distances_from(world, found, point, place.wi, own)
+    lengths = jnp.where(place.skip | (lengths <= least), jnp.inf, lengths)
     nearest = jnp.min(lengths)
     face = jnp.where(nearest < jnp.inf, jnp.argmin(lengths), -1)
-    return Scan(lengths, nearest > place.distance, Hit(nearest, face))
+    return Scan(nearest > place.distance, Hit(nearest, face))
+
+
+def is_free(world: World, found: Silhouettes, point: Vec3, wi: Vec3, length, own, target):
+    """Return whether a ray from face ``own`` reaches face ``target``, ``length`` away."""
+    lengths = distances_from(world, found, point, wi, own)
+    return ~jnp.any((lengths < length) & ~on_plane_of(world, found, target))
+
+
+def distances_from(world, found, point, wi, own):
+    """Return the distances of all faces, infinite for those on the plane of face ``own``."""
+    lengths = distances(found, still(world.values.faces), point, wi, own)
+    return jnp.where(on_plane_of(world, found, own), jnp.inf, lengths)
+
+
+def on_plane_of(world, found, face):
+    """Return for each face whether it is flat and lies on the same plane as ``face``, which may be none of them."""
+    rest, numbers = world.rest, range(world.rest.size)
+    plane = np.array([[(j == i or j in rest.twins[i]) and i not in found.spheres for j in numbers] for i in numbers])
+    known = jnp.clip(jnp.asarray(face), -1, rest.size)
+    return jnp.asarray(np.vstack([plane, np.zeros((1, rest.size), bool)]))[known] & (known >= 0)
 
 
 def velocity(world: World, place: Place, point: Vec3, face, distance, used):
