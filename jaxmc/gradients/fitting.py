@@ -1,8 +1,8 @@
 """Parameters of a scene from an image of it: the squared error of renders, descended with noisy gradients.
 
-The square of a noisy residual is no estimate of the squared residual, and its derivative is none of the derivative: both
-are too large by what the noise adds. Here the loss has the variance subtracted, and its gradient multiplies residuals
-and derivatives that come from independent renders.
+The square of a noisy residual is no estimate of the squared residual, nor is its derivative one of the derivative: the
+noise adds to both. Here the loss has the variance subtracted, and its gradient multiplies residuals and derivatives
+that come from independent renders.
 """
 
 import dataclasses
@@ -72,16 +72,18 @@ def fit(
         make: a function of parameters that returns (scene, camera), as for ``mc.render_grad``.
         target: an image of shape (height, width) or (height, width, 3), or an ``Estimate`` of one, whose own variance
             is subtracted from the loss too.
-        params: where to start: a pytree of numbers and arrays of floats.
+        params: where to start: a pytree of numbers and arrays of floats. A scene in which two numbers of one kind are
+            exactly equal has a kernel of its own, so start with numbers that nothing else has.
         steps: how many to take.
         spp: samples for each pixel of each render, at least 2.
         optimizer: a gradient transformation of optax; by default Adam with b2 = 0.95 and steps that fall from 0.05
             to 0 by a cosine. It steps about equally far in all parameters: let them have sizes near 1.
         weights: of the squared errors, at least 0: a number or an array that broadcasts to (height, width, 3); 0 leaves
             a pixel out. By default ``1 / (target**2 + mean(target)**2)``: errors are relative ones, but for dark
-            pixels, whose slopes would drown all others. They must not depend on the noise of a render: with a noisy target, give weights that do not come from it.
-        bounds: as ``params``, with (lowest, highest), of which either may be None, or None for each of its leaves: after
-            each step parameters are moved back into them.
+            pixels, whose slopes would drown all others. They must not depend on the noise of a render: with a noisy
+            target, give weights that do not come from it.
+        bounds: as ``params``, with (lowest, highest) or None for each of its leaves, and either of the two may be None:
+            after each step parameters are moved back into them.
         boundary_spp: samples of the derivative's boundary part; as ``mc.render_grad``.
         key: seed, an integer in [0, 2^64) or a ``jax.random`` key.
         gradient: what estimates derivatives, called as ``mc.render_grad(make, params, adjoint=..., spp=...,
@@ -145,10 +147,11 @@ class SquaredError(NamedTuple):
 def squared_error(image: Estimate, target, weights, target_variance=0.0) -> SquaredError:
     """Estimate the mean of ``weights * (expected image - target)**2`` over pixels and channels.
 
-    Per pixel, of n samples x: the mean of (x_i - t) (x_j - t) over all pairs of different samples, which is (mean - t)^2
-    less the variance of the mean. Its variance, of a U-statistic (Hoeffding 1948) with d = mean - t and V the variance
-    of the mean, is 4 d^2 V + 2 V^2 n / (n - 1). Pixels are independent; channels count as fully correlated, so where
-    they are not the error is at most as large as said.
+    Per pixel, of n samples x: the mean of (x_i - t) (x_j - t) over all pairs of different samples, that is, (mean - t)^2
+    less the variance of the mean. With V for that variance and d for the expected mean - t, the variance of this
+    U-statistic (Hoeffding 1948) is 4 d^2 V + 2 V^2 n / (n - 1). Pixels are independent; channels count as fully
+    correlated. So the error is too large where they are not, and mostly where few samples come from a heavy tail, whose
+    V^2 is estimated too large. The noise of a target, the same for all images, is no part of it.
 
     Args:
         image: a render of at least 2 samples for each pixel.
@@ -159,7 +162,7 @@ def squared_error(image: Estimate, target, weights, target_variance=0.0) -> Squa
     weights = np.broadcast_to(weights, mean.shape)
     off = mean - target
     squares = off**2 - variance
-    through_offset = np.maximum(np.sum(weights**2 * 4.0 * (squares - target_variance) * variance, (0, 1)), 0.0)
+    through_offset = np.maximum(np.sum(weights**2 * 4.0 * squares * variance, (0, 1)), 0.0)
     alone = np.sum(weights**2 * 2.0 * variance**2 * n / (n - 1), (0, 1))
     error = np.sum(np.sqrt(through_offset + alone)) / mean.size
     loss = np.mean(weights * (squares - target_variance))
@@ -204,7 +207,10 @@ def _target(target, weights, camera):
 def _limits(bounds, params):
     """Return (lowest, highest) or None for each leaf of the parameters."""
     leaves, structure = jax.tree.flatten(params)
-    limits = [None] * len(leaves) if bounds is None else structure.flatten_up_to(bounds)
+    try:
+        limits = [None] * len(leaves) if bounds is None else structure.flatten_up_to(bounds)
+    except ValueError as error:
+        raise ValueError(f"bounds must have (lowest, highest) for each leaf of the parameters: {error}") from error
     for leaf, limit in zip(leaves, limits):
         if limit is None:
             continue
