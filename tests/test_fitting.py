@@ -61,7 +61,7 @@ def test_a_plate_is_found_and_plain_differentiation_does_not_see_it(target):
     assert_at_the_truth(found, [0.1], 0.06)
     for f in fits:
         assert f.trace["x"].shape == f.loss.shape == f.loss_stderr.shape == (61,) and f.status == "complete"
-        assert f.trace["x"][0] == np.float32(-0.1) and f.trace["x"][-1] == float(f.params["x"])
+        assert f.trace["x"][0] == pytest.approx(-0.1) and f.trace["x"][-1] == float(f.params["x"])
         assert f.loss[-1] < 5.0 * f.loss_stderr[-1] and "complete" in str(f)
     first, said = np.mean([f.loss[0] for f in fits]), fits[0].loss_stderr[0]
     assert first > 5.0 * said / len(fits) ** 0.5
@@ -69,6 +69,7 @@ def test_a_plate_is_found_and_plain_differentiation_does_not_see_it(target):
     assert float(blind.params["x"]) == pytest.approx(-0.1)
 
 
+@pytest.mark.slow
 def test_three_parameters_are_found(target):
     bounds = {"x": (-0.5, 0.5), "half": (0.3, None), "glow": (0.0, 2.0)}
     start = {"x": -0.15, "half": 0.7, "glow": 0.8}
@@ -116,7 +117,7 @@ def test_the_error_of_a_loss_away_from_the_truth(target):
     found = [squared_error(render({"glow": 1.0, "x": 0.0}, 8, k), target, 1.0) for k in range(200)]
     means, said = np.array([(f.mean, f.stderr) for f in found]).T
     assert np.sqrt(np.mean(said**2)) == pytest.approx(means.std(ddof=1), rel=0.25)
-    exact = np.mean((render({"glow": 1.0, "x": 0.0}, 1 << 16, 2).mean - target) ** 2)
+    exact = np.mean((render({"glow": 1.0, "x": 0.0}, 1 << 14, 2).mean - target) ** 2)
     assert abs(means.mean() - exact) < 5.0 * means.std() / len(means) ** 0.5 < 0.05 * exact
 
 

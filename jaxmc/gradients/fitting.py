@@ -147,9 +147,9 @@ class SquaredError(NamedTuple):
 def squared_error(image: Estimate, target, weights, target_variance=0.0) -> SquaredError:
     """Estimate the mean of ``weights * (expected image - target)**2`` over pixels and channels.
 
-    Per pixel, of n samples x: the mean of (x_i - t) (x_j - t) over all pairs of different samples, that is, (mean - t)^2
-    less the variance of the mean. With V for that variance and d for the expected mean - t, the variance of this
-    U-statistic (Hoeffding 1948) is 4 d^2 V + 2 V^2 n / (n - 1). Pixels are independent; channels count as fully
+    Per pixel, of n samples x: the mean of (x_i - t) (x_j - t) over all pairs of different samples, which is the square
+    of mean - t, less the variance of the mean. With V for that variance and d for the expected mean - t, the variance
+    of this U-statistic (Hoeffding 1948) is 4 d^2 V + 2 V^2 n / (n - 1). Pixels are independent; channels count as fully
     correlated. So the error is too large where they are not, and mostly where few samples come from a heavy tail, whose
     V^2 is estimated too large. The noise of a target, the same for all images, is no part of it.
 
