@@ -45,6 +45,7 @@ from .integration.intervals import Interval as Interval
 from .integration.lattices import Lattice as Lattice
 from .integration.layers import Cascade as Cascade
 from .integration.layers import Layers as Layers
+from .integration.machines import join_processes as join_processes
 from .integration.merging import merge as merge
 from .integration.mixtures import mixture as mixture
 from .integration.mixtures import one_sample_mixture as one_sample_mixture

@@ -16,7 +16,7 @@ import warnings
 import jax
 import jaxlib
 import numpy as np
-from jax._src import xla_bridge
+from jax._src import distributed, xla_bridge
 
 FAST_FUSION = "xla_cpu_use_multi_output_fusion"
 NO_YNN_FUSION = "--xla_cpu_experimental_ynn_fusion_type="
@@ -75,6 +75,12 @@ def mesh() -> jax.sharding.Mesh | None:
     """Return all devices of this process in a row, among which blocks of samples are divided; None for a single one."""
     devices = jax.local_devices()
     return jax.sharding.Mesh(np.array(devices), ("blocks",)) if len(devices) > 1 else None
+
+
+def processes():
+    """Return the key-value store of ``jax.distributed``, or None, the number of this process and how many there are."""
+    state = distributed.global_state
+    return state.client, state.process_id, state.num_processes
 
 
 @functools.cache

@@ -1,9 +1,15 @@
 """The studies as commands: ``jaxmc study NAME``."""
 
+import os
+import sys
+import tempfile
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
+import jax
+
+from .integration import machines
 from .integration.checkpoint import SECONDS
 from .integration.folders import kept_in
 from .known import collection
@@ -126,6 +132,10 @@ def _add_common(command, out):
     command.add_argument("--seed", type=int, default=0, help="seed (default 0)")
     command.add_argument("--quiet", action="store_true", help="no progress bar")
     command.add_argument("--resume", action="store_true", help="go on where a run with these options was stopped")
+    command.add_argument("--distributed", action="store_true", help="share the work with other processes, as JAX does")
+    command.add_argument("--address", help="HOST:PORT of process 0 (default JAX_COORDINATOR_ADDRESS, or the cluster's)")
+    command.add_argument("--processes", type=int, help="how many there are (default JAX_NUM_PROCESSES)")
+    command.add_argument("--rank", type=int, help="the number of this one, from 0 (default JAX_PROCESS_ID)")
     command.add_argument(
         "--every", type=float, default=SECONDS, help="seconds between checkpoints, in OUT/.unfinished (default 10)"
     )
@@ -143,29 +153,53 @@ def _add_cures(studies):
 
 
 def _run_cures(options) -> int:
+    kept = _joined(options)
     name, scene, camera, paths, _ = find_scene(options.scene)
     paths = {"bounces": 5, **paths, **({} if options.bounces is None else {"bounces": options.bounces})}
     given = {"spp": options.spp, "width": options.width, "seed": seed(options), "progress": not options.quiet}
     settings = cures.Settings(scene, camera, name, paths, **given)
     about = {"study": "cures", "scene": options.scene, "bounces": paths["bounces"], **given}
-    return _report(options, about, lambda: cures.run(options.out, settings))
+    return _report(options, kept, about, lambda: cures.run(options.out, settings))
 
 
 def _run(options) -> int:
+    kept = _joined(options)
     study = options.study
     chosen = {setting: getattr(options, setting) for setting in study.settings}
     settings = study.module.Settings(**chosen, seed=seed(options), progress=not options.quiet)
     about = {"study": study.module.__name__, **chosen, "seed": options.seed}
-    return _report(options, about, lambda: study.module.run(options.out, settings))
+    return _report(options, kept, about, lambda: study.module.run(options.out, settings))
 
 
-def _report(options, about, run) -> int:
+def _joined(options) -> Path:
+    """Return the folder of checkpoints; join the other processes, of which the first writes the report."""
+    kept = Path(options.out, ".unfinished")
+    if options.distributed:
+        variables = {"num_processes": "JAX_NUM_PROCESSES", "process_id": "JAX_PROCESS_ID"}
+        given = {name: os.environ.get(variable) for name, variable in variables.items()}
+        given = {name: None if word is None else int(word) for name, word in given.items()}
+        for name, value in (("num_processes", options.processes), ("process_id", options.rank)):
+            given[name] = given[name] if value is None else value
+        try:
+            jax.distributed.initialize(options.address, **given)
+        except (RuntimeError, ValueError) as error:
+            raise ValueError(f"--distributed needs --address, --processes and --rank: {error}") from error
+        team = machines.join_processes()
+        if team and team.rank:
+            options.quiet, options.out = True, tempfile.mkdtemp()
+    return kept
+
+
+def _report(options, kept, about, run) -> int:
     """Run a study, with its estimates kept until it has ended."""
     writable_folder(options.out)
     about = {key: value for key, value in about.items() if key != "progress"}
     try:
-        with kept_in(Path(options.out, ".unfinished"), about, options.resume, options.every):
-            print(f"report: {run()}")
+        with kept_in(kept, about, options.resume, options.every):
+            print(f"report: {run()}", flush=True)
+    except machines.LostProcess as error:
+        print(f"jaxmc: {error}", file=sys.stderr, flush=True)
+        os._exit(3)  # the end of `jax.distributed` would wait for the process that is lost
     except KeyboardInterrupt as stop:
         raise KeyboardInterrupt(*stop.args, "the same command with --resume goes on") from None
     return 0

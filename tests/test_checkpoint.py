@@ -90,9 +90,9 @@ def killed_again_and_again(make, path, jobs, **changes):
 # Saving.
 
 
-@pytest.mark.parametrize("sampler", [mc.Independent(), mc.Sobol()], ids=str)
+@pytest.mark.parametrize("sampler", [mc.Independent(), pytest.param(mc.Sobol(), marks=pytest.mark.slow)], ids=str)
 def test_an_estimate_comes_back_as_it_was(tmp_path, sampler):
-    made = mc.integrate(tree, dim=2, n=5000, tallies=TALLIES, key=3, sampler=sampler)
+    made = mc.integrate(tree, dim=2, n=5000, tallies=TALLIES, key=3, sampler=sampler, chunk=BLOCK)
     made.save(tmp_path / "e.npz")
     read = mc.Estimate.load(tmp_path / "e.npz")
     assert same(read, made) and str(read) == str(made) and read.recipe == made.recipe
@@ -102,7 +102,7 @@ def test_an_estimate_comes_back_as_it_was(tmp_path, sampler):
 
 
 def test_an_image_comes_back_as_it_was(tmp_path):
-    f = mc.integrate_each(PIXELS, 77, n=40, tallies=PIXEL_TALLIES)
+    f = mc.integrate_each(PIXELS, 4000, n=40, tallies=PIXEL_TALLIES, chunk=BLOCK)
     f.save(tmp_path / "e.npz")
     assert same(mc.Estimate.load(tmp_path / "e.npz"), f)
     f.save(tmp_path / "e.npz")  # over the old one
@@ -110,8 +110,8 @@ def test_an_image_comes_back_as_it_was(tmp_path):
 
 
 def test_what_cannot_be_stored_is_named(tmp_path):
-    made = mc.integrate(tree, dim=2, n=100)
-    with pytest.raises(ValueError, match="type <U3 cannot be stored"):
+    made = mc.integrate(tree, dim=2, n=100, chunk=BLOCK)
+    with pytest.raises(ValueError, match=r"type <U3 cannot be stored"):
         dataclasses.replace(made, recipe={"key": np.array(["one", "two"])}).save(tmp_path / "e.npz")
     assert os.listdir(tmp_path) == []
     with pytest.raises(OSError):
@@ -133,7 +133,7 @@ def test_files_hold_what_they_say(tmp_path):
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "text", "version", "pickle", "compressed"])
 def test_damaged_files_are_refused_and_left_alone(tmp_path, damage, monkeypatch):
     path = tmp_path / "e.npz"
-    made = mc.integrate(tree, dim=2, n=5000, tallies=TALLIES)
+    made = mc.integrate(tree, dim=2, n=5000, tallies=TALLIES, chunk=BLOCK)
     if damage == "version":
         monkeypatch.setattr(storage, "VERSION", 99)
     made.save(path)
@@ -168,7 +168,7 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", [pytest.param(w, marks=pytest.mark.slow) if w == "sobol" else w for w in WAYS])
 def test_a_run_that_is_killed_ends_with_the_same_bits(tmp_path, way):
     options = WAYS[way]
     tallies = TALLIES if "n" in options else None
@@ -186,7 +186,7 @@ def test_a_run_that_is_killed_ends_with_the_same_bits(tmp_path, way):
 
 
 def test_going_on_with_other_chunks_keeps_the_bits(tmp_path):
-    whole = mc.integrate(tree, dim=2, n=N, tallies=TALLIES)
+    whole = mc.integrate(tree, dim=2, n=N, tallies=TALLIES, chunk=BLOCK)
     path = tmp_path / "run.npz"
 
     def make(**more):
@@ -197,7 +197,7 @@ def test_going_on_with_other_chunks_keeps_the_bits(tmp_path):
     assert same(make(checkpoint=path, chunk=2 * BLOCK), whole)
 
 
-@pytest.mark.parametrize("sampler", [mc.Independent(), mc.Lattice()], ids=str)
+@pytest.mark.parametrize("sampler", [mc.Independent(), pytest.param(mc.Lattice(), marks=pytest.mark.slow)], ids=str)
 def test_a_family_that_is_killed_ends_with_the_same_bits(tmp_path, sampler):
     def make(**more):
         options = {"chunk": BLOCK, **more}
@@ -213,9 +213,13 @@ def test_an_unfinished_file_is_an_estimate_too(tmp_path):
     with pytest.raises(Killed):
         mc.integrate(tree, dim=2, n=N, checkpoint=mc.Checkpoint(path, 0.0), progress=killed_after(3), chunk=BLOCK)
     part = mc.Estimate.load(path)
-    assert part.n == 2 * BLOCK and same(part, mc.integrate(tree, dim=2, n=2 * BLOCK))
+    assert part.n == 2 * BLOCK and same(part, mc.integrate(tree, dim=2, n=2 * BLOCK, chunk=BLOCK))
     with pytest.raises(ValueError, match="unfinished"):
         mc.merge(part, part)
+
+
+@pytest.mark.slow
+def test_an_unfinished_file_of_randomisations_has_the_complete_ones(tmp_path):
     path = tmp_path / "sobol.npz"
     options = {"n": 1 << 18, "sampler": mc.Sobol(), "chunk": 1 << 14}
     with pytest.raises(Killed):
@@ -299,16 +303,16 @@ def test_ctrl_c_keeps_what_is_done(tmp_path):
 
     found = mc.integrate(tree, dim=2, n=N, checkpoint=path, progress=see, chunk=BLOCK)
     assert seen[0] == (done[-1] + BLOCK, N) and seen[-1] == (N, N)
-    assert same(found, mc.integrate(tree, dim=2, n=N))
+    assert same(found, mc.integrate(tree, dim=2, n=N, chunk=BLOCK))
 
 
 def test_checkpoints_work_in_threads(tmp_path):
     found = []
 
     def run():
-        found.append(mc.integrate(tree, dim=2, n=N, checkpoint=tmp_path / "run.npz"))
+        found.append(mc.integrate(tree, dim=2, n=N, chunk=BLOCK, checkpoint=tmp_path / "run.npz"))
 
     thread = threading.Thread(target=run)
     thread.start()
     thread.join()
-    assert same(found[0], mc.integrate(tree, dim=2, n=N))
+    assert same(found[0], mc.integrate(tree, dim=2, n=N, chunk=BLOCK))

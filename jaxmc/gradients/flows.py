@@ -67,9 +67,26 @@ def still(tree):
     return jax.tree.map(jax.lax.stop_gradient, tree)
 
 
+def attach(value, moving):
+    """Return ``value`` with the derivative of ``moving``, whose own value is not computed; both may be trees."""
+    return jax.tree.map(_attach, value, moving)
+
+
+@jax.custom_jvp
+def _attach(value, moving):
+    # A choice that the compiler takes: the result then has the batch axes of both.
+    return jnp.where(True, value, jnp.asarray(moving, jnp.result_type(value)))
+
+
+@_attach.defjvp
+def _attach_derivative(values, tangents):
+    out = _attach(*values)
+    return out, jnp.asarray(tangents[1], out.dtype)
+
+
 def motion(v):
-    """Return 0, whose derivative is that of ``v``."""
-    return v - still(v)
+    """Return 0 with the derivative of ``v``."""
+    return attach(jax.tree.map(jnp.zeros_like, v), v)
 
 
 class Flowed(NamedTuple):
@@ -109,7 +126,7 @@ def _pinned(face, fixed, point, wi, distance):
     to = place - point
     normal = where(is_sphere, outward * (face.radius * face.radius), cross(face.half_u, face.half_v))
     length = dot(to, to)
-    return Flowed(place, wi + motion(normalize(to)), ratio(dot(normal, to) / (length * jnp.sqrt(length))))
+    return Flowed(place, attach(wi, normalize(to)), ratio(dot(normal, to) / (length * jnp.sqrt(length))))
 
 
 def _in_cone(face, point, wi, distance, outside):
@@ -129,10 +146,10 @@ def _in_cone(face, point, wi, distance, outside):
     # The azimuth follows the axis as a rigid rotation does.
     upright = aside - axis * dot(aside, axis)
     upright = normalize(where(known, upright, Vec3(1.0, 0.0, 0.0)))
-    wi = wi + motion(axis * (1.0 - height) + upright * jnp.where(known, sine, 0.0))
+    wi = attach(wi, axis * (1.0 - height) + upright * jnp.where(known, sine, 0.0))
     # The near root, without the square root of a difference at the rim.
     chord = jnp.sqrt(most * ((2.0 - most) - height)) * jnp.sqrt(1.0 - share)
-    length = distance + motion(jnp.sqrt(dot(moving, moving)) * ((1.0 - height) - chord))
+    length = attach(distance, jnp.sqrt(dot(moving, moving)) * ((1.0 - height) - chord))
     return Flowed(point + wi * length, wi, ratio(most))
 
 
@@ -157,7 +174,7 @@ def normal_at(face: Faces, point: Vec3, normal: Vec3) -> Vec3:
     known = still(dot(across, across)) > 0.0
     across = normalize(where(known, across, Vec3(0.0, 0.0, 1.0)))
     side = jnp.where(dot(still(across), still(normal)) < 0.0, -1.0, 1.0)
-    return still(normal) + motion(across) * jnp.where(known, side, 0.0)
+    return attach(still(normal), across * jnp.where(known, side, 0.0))
 
 
 def _cone(to_center, radius):
@@ -169,5 +186,6 @@ def _cone(to_center, radius):
 
 def ratio(x):
     """Return ``x`` over its own value: 1, with the logarithmic derivative of ``x``; plain 1 where that is 0."""
-    safe = jnp.where(still(x) != 0.0, x, 1.0)
-    return safe / still(safe)
+    fixed = still(x)
+    inverse = jnp.where(fixed != 0.0, 1.0 / jnp.where(fixed != 0.0, fixed, 1.0), 0.0)
+    return attach(jnp.ones_like(fixed), x * inverse)

@@ -17,7 +17,7 @@ from ..transport.rays import ray
 from ..transport.vec import Vec3, cross, dot, normalize, where
 from .arcs import Cone, Halfspace, cone_around, corners_of, middle_of, pyramid
 from .curves import Place, draw, holds, kinds, look, pieces, place_on
-from .flows import Faces, flow, motion, normal_at, still
+from .flows import Faces, attach, flow, motion, normal_at, still
 from .shadows import draws, is_free, scan
 from .silhouettes import Silhouettes
 from .walks import Vertex, evaluate
@@ -181,7 +181,7 @@ def _on_film(world: World, part: Rectangle, wi: Vec3, importance):
     moving = normalize(camera.forward + camera.right * still(x) + camera.down * still(y))
     volume = jnp.abs(dot(fixed.forward, cross(fixed.right, fixed.down))) * (part.right - part.left)
     share = length**3 / (volume * (part.bottom - part.top))
-    return used, wi + motion(moving), jax.tree.map(lambda w: w * share, importance(x, y))
+    return used, attach(wi, moving), jax.tree.map(lambda w: w * share, importance(x, y))
 
 
 # ---------------------------------------------------------------------------------------------------------- mirrors

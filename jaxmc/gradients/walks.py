@@ -20,7 +20,7 @@ from ..transport.rays import Ray, ray
 from ..transport.sky import sky_radiance
 from ..transport.strategy import POLAR
 from ..transport.vec import Vec3, dot, where
-from .flows import carried, flow, motion, normal_at, one_of, ratio, still
+from .flows import attach, carried, flow, normal_at, one_of, ratio, still
 from .world import World
 
 
@@ -75,12 +75,12 @@ def vertex_of(world: World, walk: Walk) -> Vertex:
     surface = surface_at(world.rest, walk.ray, walk.hit)
     row = world.values.faces.at(surface.face)
     moving = surface._replace(
-        point=surface.point + motion(walk.point), normal=normal_at(row, walk.point, surface.normal)
+        point=attach(surface.point, walk.point), normal=normal_at(row, walk.point, surface.normal)
     )
-    reflectance = surface.reflectance + motion(one_of(world.values.reflectance, surface.face))
+    reflectance = attach(surface.reflectance, one_of(world.values.reflectance, surface.face))
     return Vertex(
         surface, kinds_of(world.rest, surface), moving, kinds_of(world.moving, surface), walk.ray.direction,
-        walk.ray.direction + motion(walk.arriving), walk.beta * reflectance,
+        attach(walk.ray.direction, walk.arriving), walk.beta * reflectance,
     )  # fmt: skip
 
 
@@ -169,7 +169,7 @@ def _led(world, vertex, drawn):
     arriving, normal = vertex.arriving, vertex.moving.normal
     reflected, factor = reflect(arriving, normal), jnp.ones(())
     if not world.rest.dielectrics:
-        return drawn.wi + motion(reflected), factor
+        return attach(drawn.wi, reflected), factor
     ior = world.moving.ior.at(vertex.surface.face)
     ior = jnp.where(vertex.kinds.dielectric, ior, 1.5)
     eta = jnp.where(vertex.surface.behind, 1.0 / ior, ior)
@@ -177,7 +177,7 @@ def _led(world, vertex, drawn):
     is_reflected = (dot(drawn.wi, vertex.surface.normal) > 0.0) | ~vertex.kinds.dielectric
     passing = ratio(1.0 - share) * ratio(1.0 / (eta * eta))
     factor = jnp.where(vertex.kinds.dielectric, jnp.where(is_reflected, ratio(share), passing), 1.0)
-    return drawn.wi + motion(where(is_reflected, reflected, refract(arriving, normal, eta))), factor
+    return attach(drawn.wi, where(is_reflected, reflected, refract(arriving, normal, eta))), factor
 
 
 def follow(world: World, strategy, u, first, walk: Walk, bounces):

@@ -12,7 +12,7 @@ from ..transport.lookups import Lookup
 from ..transport.primitives import as_color
 from ..transport.scene import Scene
 from ..transport.vec import Vec3
-from .flows import Faces, motion, one_of, stacked, table_of_faces
+from .flows import Faces, attach, one_of, stacked, table_of_faces
 
 
 class Values(NamedTuple):
@@ -80,7 +80,7 @@ def _rows(lookups):
 
 def world(rest: Scene, at_rest: Values, values: Values) -> World:
     """Return the world whose values are those at rest, and whose derivatives are those of ``values``."""
-    values = jax.tree.map(lambda fixed, moving: fixed + motion(jnp.asarray(moving, float)), at_rest, values)
+    values = attach(jax.tree.map(lambda x: jnp.asarray(x, float), at_rest), values)
     moving, shares = copy.copy(rest), copy.copy(rest)
     if rest.rough:
         moving.alpha = Row(values.alpha)

@@ -9,13 +9,13 @@ import time
 from contextvars import ContextVar
 from pathlib import Path
 
-from . import storage
+from . import machines, storage
 from .estimate import Estimate
 from .recipes import difference, recipe
 from .sums import Sums
 
 SECONDS = 10.0
-SHARE = 0.01  # of the time that may go into writing
+SHARE = 0.005  # of the time that may go into writing, the last time aside
 folder_in_use: ContextVar = ContextVar("folder of checkpoints", default=None)  # see folders
 
 
@@ -25,7 +25,7 @@ class Checkpoint:
 
     Attributes:
         path: of the file, such as ``"run.npz"``.
-        seconds: from one write to the next; more where writing takes over 1 % of that. 0 writes after every kernel
+        seconds: from one write to the next; more where writing takes over 0.5 % of that. 0 writes after every kernel
             call, whatever that costs.
 
     Raises:
@@ -54,11 +54,25 @@ def keep(run, checkpoint, n, target, bar, make) -> Estimate:
     if checkpoint is None:
         if run.part.about:
             run.sums.recipe = recipe(run, n, target)
-        return make()
+        estimate = make()
+        run.sums.finished = True
+        return estimate
     checkpoint = checkpoint if isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
     keeper = Keeper(checkpoint, run, n, target)
     keeper.resume(bar)
     return keeper.grown(make)
+
+
+def is_first() -> bool:
+    """Return whether this process is the one that writes."""
+    team = machines.team()
+    return team is None or team.rank == 0
+
+
+def meet():
+    """Let all processes read a file before one of them writes it, or the other way round."""
+    if team := machines.team():
+        team.meet()
 
 
 class Keeper:
@@ -71,9 +85,12 @@ class Keeper:
 
     def resume(self, bar):
         """Take up what is in the file, if there is one. Raises ``ValueError`` where that is of no use."""
-        if self.path.exists():
-            self.take_up(self.load())
-            bar.begin_at(self.run.sums.drawn)
+        try:
+            if self.path.exists():
+                self.take_up(self.load())
+                bar.begin_at(self.run.sums.drawn)
+        finally:
+            meet()
 
     def grown(self, make) -> Estimate:
         """Return the estimate of ``make()``, which is kept when it took ``at_least`` some seconds."""
@@ -88,7 +105,7 @@ class Keeper:
         """Return the sums in the file. Raises ``ValueError`` where it holds none, or those of another recipe."""
         found = storage.load(self.path)
         cure = "name another file, or remove this one"
-        if not isinstance(found, Sums) or found.recipe is None:
+        if not isinstance(found, Sums) or found.recipe is None or not (found.finished or found.pending):
             raise ValueError(f"{self.path} holds no checkpoint; {cure}")
         self.recipe = recipe(self.run, self.n, self.target)
         if other := difference(found.recipe, self.recipe):
@@ -120,6 +137,7 @@ class Keeper:
         sums.seconds = estimate.seconds
         if sums.seconds >= self.at_least:
             self.write()
+            meet()
         return dataclasses.replace(estimate, sums=sums)
 
     def write(self):
@@ -131,7 +149,8 @@ class Keeper:
         sums.recipe = self.recipe
         if not sums.finished:
             sums.seconds = self.run.seconds
-        storage.save(self.path, sums)
+        if is_first():
+            storage.save(self.path, sums)
         took = time.monotonic() - began
         self.due = time.monotonic() + (max(self.seconds, took / SHARE) if self.seconds else 0.0)
 

@@ -119,6 +119,8 @@ def blocks_of(chunk):
 
 
 def _replicates(replicates, sampler, default):
+    if isinstance(sampler, type) or not hasattr(sampler, "independent"):
+        raise ValueError(f"sampler must be one such as mc.Independent() or mc.Sobol(), got {sampler!r}")
     if replicates is None:
         return None if sampler.independent else default
     return positive("replicates", replicates)

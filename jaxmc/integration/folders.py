@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from .checkpoint import SECONDS, Checkpoint, Keeper, folder_in_use
+from .checkpoint import SECONDS, Checkpoint, Keeper, folder_in_use, is_first, meet
 from .estimate import Estimate
 
 ABOUT = "about.json"
@@ -39,18 +39,23 @@ def kept_in(folder, about: dict[str, Any], resume: bool, seconds: float = SECOND
     if resume and known.exists() and (before := known.read_text(encoding="utf-8")) != text:
         cure = "resume with the same options, or leave out --resume"
         raise ValueError(f"{folder} was begun as {before[:500]}, and this is {text}; {cure}")
-    if not resume:
-        shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True, exist_ok=True)
-    unfinished = known.with_suffix(".unfinished")
-    unfinished.write_text(text, encoding="utf-8")
-    os.replace(unfinished, known)
+    meet()
+    if is_first():
+        if not resume:
+            shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        unfinished = known.with_suffix(".unfinished")
+        unfinished.write_text(text, encoding="utf-8")
+        os.replace(unfinished, known)
+    meet()
     token = folder_in_use.set(Folder(folder, seconds))
     try:
         yield
     finally:
         folder_in_use.reset(token)
-    shutil.rmtree(folder, ignore_errors=True)
+    meet()
+    if is_first():
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 class Folder:

@@ -46,7 +46,7 @@ def _sums_of(part, name) -> Sums:
     sums = part.sums
     if sums is None:
         raise ValueError(f"{name} kept no sums: make it with indices=, tiles= or checkpoint=")
-    if not sums.finished and sums.pending:
+    if not sums.finished:
         raise ValueError(f"{name} is unfinished: run it again with its checkpoint first")
     if sums.recipe["target"] is not None:
         raise ValueError(f"{name} ran towards a target; parts have a fixed number of samples")

@@ -33,6 +33,8 @@ class Part(NamedTuple):
     def check(self, n, points):
         """Refuse a part that is none of ``n`` samples, or would cut a randomisation of ``points`` samples in two."""
         indices = self.indices
+        if indices is None:
+            return
         if indices.stop > n:
             raise ValueError(f"indices go up to {indices.stop}, but there are n={n} samples in all; take fewer")
         if indices.start % points or indices.stop % points:

@@ -8,6 +8,8 @@ import jax
 import numpy as np
 
 from .. import backend
+from . import machines
+from .counts import positive
 from .estimate import Estimate
 from .kernel import LANES, ROWS, evaluate, item_jobs, stream_jobs
 from .moments import Moments
@@ -20,6 +22,13 @@ from .work import ordered_map
 def _as_array(x):
     # Leave it on the host: a compiled function takes it from there in a twentieth of the time of ``jnp.asarray``.
     return x if isinstance(x, jax.Array) else np.asarray(x)
+
+
+def _check_tallies(tallies):
+    if tallies is not None and not (
+        isinstance(tallies, dict) and all(isinstance(name, str) and hasattr(t, "reduce") for name, t in tallies.items())
+    ):
+        raise ValueError(f'tallies are given by name, such as {{"tail": mc.TailHistogram()}}, got {tallies!r}')
 
 
 @jax.jit
@@ -40,6 +49,7 @@ class Run:
         lanes=LANES, part: Part = WHOLE, view=None,
     ):  # fmt: skip
         backend.check_arithmetic()
+        _check_tallies(tallies)
         if "moments" in (tallies or {}):
             raise ValueError('the name "moments" is taken by the estimate itself; give your tally another name')
         self.started, self.seconds_before = time.perf_counter(), 0.0
@@ -48,7 +58,8 @@ class Run:
         self.mesh = backend.mesh()
         devices = self.mesh.size if self.mesh else 1
         # Every device gets as many blocks; the last ones may be empty.
-        self.workers, self.blocks, self.rows = workers or backend.workers(), -(-blocks // devices) * devices, rows
+        self.workers = backend.workers() if workers is None else positive("workers", workers)
+        self.blocks, self.rows = -(-blocks // devices) * devices, rows
         self.items, self.lanes, self.part, self.keeper = items, lanes, part, None
         about = {"key": key, "sampler": repr(sampler), **part.about}
         count = items if part.chosen is None else len(part.chosen)
@@ -138,7 +149,7 @@ class Run:
         """Add the samples of ``ranges``, or what is left of them; return whether there was the time for all."""
         sums, x64 = self.sums, jax.config.jax_enable_x64
         (given, static), sums.points = self.kernel_arguments(points), points
-        sums.pending = sums.pending or (list(ranges), 0)
+        ranges, done = sums.pending = sums.pending or (list(ranges), 0)
 
         def call(job):
             return evaluate(*given, index_words(job.base), job.offset, job.rows, **static, mesh=self.mesh)
@@ -151,7 +162,12 @@ class Run:
                 records, example = call(job)
                 return job, blocks, jax.tree.map(lambda x: np.asarray(x)[:blocks], records), example
 
-        jobs = self._jobs(*sums.pending)
+        team = machines.team()
+        if team and np.isfinite(deadline):
+            raise ValueError(
+                "processes that work together have clocks of their own: give n or a target, no max_seconds"
+            )
+        jobs = self._jobs(ranges, done)
         begin = list(itertools.islice(jobs, 2))
         if len(begin) < 2:
             results = map(records_of, begin)  # no threads for a single call
@@ -160,15 +176,22 @@ class Run:
             # Compile once, on a job that wants no samples.
             if not sums.states:
                 sums.begin(*call(begin[0]._replace(rows=np.zeros_like(begin[0].rows))))
-            results = ordered_map(records_of, itertools.chain(begin, jobs), self.workers)
+            do, jobs, count = records_of, itertools.chain(begin, jobs), self.workers
+            if team:
+                shapes = evaluate.eval_shape(
+                    *given, index_words(begin[0].base), *begin[0][1:3], **static, mesh=self.mesh
+                )
+                do, jobs, count = team.shared(records_of, shapes), enumerate(jobs), count * team.size
+            results = ordered_map(do, jobs, count)
         for job, blocks, records, example in results:
             sums.begin(records, example)
             sums.add(records, job)
-            sums.pending = sums.pending[0], sums.pending[1] + blocks
+            done += int(blocks)
+            sums.pending = ranges, done
             bar.update(job.samples)
             if self.keeper:
                 self.keeper.after_job()
             if time.perf_counter() > deadline:
                 return False
-        sums.ranges, sums.pending = sums.ranges + sums.pending[0], None
+        sums.ranges, sums.pending = sums.ranges + list(ranges), None
         return True

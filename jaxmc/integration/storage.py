@@ -72,13 +72,12 @@ def load(path) -> Any:
         ValueError: a file that is damaged, of another version, or none of ours; it is left as it is.
         OSError: the file cannot be read.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return _content(archive, Path(path).stat().st_size)
-    except OSError:
-        raise
-    except Exception as error:  # a damaged archive fails in many ways
-        raise ValueError(f"{path} is damaged, or no file of jaxmc: {str(error) or type(error).__name__}") from error
+    with open(path, "rb") as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                return _content(archive, os.fstat(file.fileno()).st_size)
+        except Exception as error:  # a damaged archive fails in many ways
+            raise ValueError(f"{path} is damaged, or no file of jaxmc: {str(error) or type(error).__name__}") from error
 
 
 def _content(archive, room):

@@ -34,7 +34,8 @@ class Sums:
 
     def __init__(self, tallies, items=None, replicates=None, chosen=None, view=None, about=None):
         self.tallies, self.items, self.replicates, self.chosen, self.view = tallies, items, replicates, chosen, view
-        self.about, self.recipe = about or {}, None
+        self.about: dict[str, Any] = about or {}
+        self.recipe: Any = None
         self.states: dict[str, Any] = {}
         self.structure, self.first, self.points, self.drawn, self.ranges = None, 0, 0, 0, []
         self.pending, self.looks, self.goal = None, [], None

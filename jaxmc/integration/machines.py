@@ -1,0 +1,143 @@
+"""Several processes, on one machine or many, that make each estimate together.
+
+All of them run the same program. Of the kernel calls of an estimate each makes every k-th, and sends the records to the
+others, by way of the key-value store of ``jax.distributed``. All add up the records of all calls in the same order, so
+each process has the same estimate, bit for bit that of a single one.
+"""
+
+import threading
+import time
+from collections import deque
+
+import jax
+import numpy as np
+
+from .. import backend
+
+BEAT, SILENCE = 2.0, 20.0  # seconds between signs of life; without one a process is lost
+PATIENCE = 3600.0  # seconds that processes wait for each other where there is nothing to tell that one is lost
+
+
+class LostProcess(RuntimeError):
+    """Another process has ended, or cannot be reached."""
+
+
+class Team:
+    """The processes that make estimates together, of which this is number ``rank`` of ``size``."""
+
+    def __init__(self, client, rank, size, workers):
+        self.client, self.rank, self.size = client, rank, size
+        self.calls, self.meetings, self.sent = 0, 0, deque()
+        self.seen: dict[int, tuple[str, float]] = {}
+        client.key_value_set(f"jaxmc/workers/{rank}", str(workers))
+        threading.Thread(target=self._beat, daemon=True).start()
+        self.workers = max(int(self._wait(lambda ms, k=k: self._get(f"jaxmc/workers/{k}", ms), k)) for k in range(size))
+
+    def _get(self, key, milliseconds):
+        return self.client.blocking_key_value_get(key, milliseconds)
+
+    def _beat(self):
+        count = 0
+        while True:
+            count += 1
+            try:
+                self.client.key_value_set(f"jaxmc/alive/{self.rank}", str(count), allow_overwrite=True)
+            except Exception:  # the store is gone: whoever waits for something finds out
+                return
+            time.sleep(BEAT)
+
+    def _wait(self, get, owner):
+        """Return ``get(milliseconds)`` of what process ``owner`` sends, as soon as it is there."""
+        while True:
+            try:
+                return get(int(1000 * BEAT))
+            except jax.errors.JaxRuntimeError as error:
+                if "DEADLINE_EXCEEDED" not in str(error):
+                    raise LostProcess(f"the other processes cannot be reached: {str(error)[:200]}") from error
+            self._check(owner)
+
+    def _check(self, owner):
+        """Raise ``LostProcess`` if a process has given no sign of life for too long."""
+        try:
+            beat = self._get(f"jaxmc/alive/{owner}", 1)
+        except jax.errors.JaxRuntimeError:
+            beat = "none"
+        last, since = self.seen.get(owner, ("", 0.0))
+        if beat != last:
+            self.seen[owner] = beat, time.monotonic()
+        elif time.monotonic() - since > SILENCE:
+            raise LostProcess(
+                f"process {owner} of {self.size} has given no sign of life for {SILENCE:g} s: it was killed, or cannot "
+                "be reached. Start all again; what is in a checkpoint is not made again"
+            )
+
+    def meet(self):
+        """Wait until all processes are here."""
+        self.meetings += 1
+        key = f"jaxmc/met/{self.meetings}"
+        self.client.key_value_set(f"{key}/{self.rank}", "here")
+        for owner in range(self.size):
+            self._wait(lambda ms, owner=owner: self._get(f"{key}/{owner}", ms), owner)
+
+    def shared(self, compute, template):
+        """Return a function of (number, job) that has the job done by the process whose turn it is.
+
+        ``compute(job)`` returns the job, its number of blocks, its records and an example; ``template`` has the shapes
+        and types of the records and the example.
+        """
+        self.calls += 1
+        call, (shapes, example) = self.calls, template
+        leaves, structure = jax.tree.flatten(shapes)
+        example = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), example)
+
+        def do(numbered):
+            number, job = numbered
+            key, owner = f"jaxmc/records/{call}/{number}", number % self.size
+            if owner == self.rank:
+                job, blocks, records, _ = compute(job)
+                self.client.key_value_set_bytes(
+                    key, b"".join(np.ascontiguousarray(x) for x in jax.tree.leaves(records))
+                )
+                self._forget(key)
+                return job, blocks, records, example
+            content = self._wait(lambda ms: self.client.blocking_key_value_get_bytes(key, ms), owner)
+            blocks, found, start = int(np.count_nonzero(job.rows.any(axis=1))), [], 0
+            for x in leaves:
+                shape = (blocks, *x.shape[1:])
+                count = int(np.prod(shape))
+                found.append(np.frombuffer(content, x.dtype, count, start).reshape(shape))
+                start += count * np.dtype(x.dtype).itemsize
+            return job, blocks, jax.tree.unflatten(structure, found), example
+
+        return do
+
+    def _forget(self, key):
+        """Take back what all have read by now: nobody is further ahead than its queue is long."""
+        self.sent.append(key)
+        while len(self.sent) > 4 * self.workers + 8:
+            self.client.key_value_delete(self.sent.popleft())
+
+
+_teams: list[Team] = []
+
+
+def join_processes() -> Team | None:
+    """Let all processes of ``jax.distributed`` make estimates together from now on; None if there is but one.
+
+    All must call ``integrate`` and ``render`` in the same order with the same arguments, and run on processors of one
+    kind. Files of checkpoints are written by process 0, and must be where all can read them.
+
+    Raises:
+        ValueError: ``jax.distributed`` was not initialised.
+    """
+    client, rank, size = backend.processes()
+    if client is None:
+        raise ValueError("call jax.distributed.initialize(address, count, rank) first, before any computation")
+    if not _teams and size > 1:
+        _teams.append(Team(client, rank, size, backend.workers()))
+    return team()
+
+
+def team() -> Team | None:
+    """Return the processes that this one makes estimates with, or None."""
+    return _teams[0] if _teams else None
