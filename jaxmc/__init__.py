@@ -23,6 +23,8 @@ from .gradients.estimators import blurred as blurred
 from .gradients.estimators import difference_integrand as difference_integrand
 from .gradients.estimators import score_control as score_control
 from .gradients.estimators import score_integrand as score_integrand
+from .gradients.fitting import Fit as Fit
+from .gradients.fitting import fit as fit
 from .gradients.images import render_grad as render_grad
 from .gradients.paths import direct_irradiance as direct_irradiance
 from .gradients.paths import mean_direct_irradiance as mean_direct_irradiance
