@@ -23,7 +23,6 @@ from ..transport.vec import Vec3, dot, where
 from .flows import attach, carried, flow, normal_at, one_of, ratio, still
 from .world import World
 
-
 KEPT = 8  # events of which reverse mode keeps everything
 
 

@@ -1,0 +1,94 @@
+"""Whole derivatives of images of random scenes, checked against differences with common random numbers.
+
+    python benchmarks/gradient_checks.py [--scenes 12] [--n 1048576]
+
+Each scene has a floor, a wall that may be a mirror, a lamp, a box, a ball and a sheet at random places; five numbers move:
+the lamp, the box, the ball, an albedo and the camera. ``mc.gradcheck`` says whether the derivative of the mean of the
+image is biased, and which bias it would have found. All of it is in ``benchmarks/results/gradient_checks.json``.
+"""
+
+import argparse
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxmc as mc
+from jaxmc.report import machine, versions, write_json
+
+RESULTS = Path(__file__).parent / "results" / "gradient_checks.json"
+STEPS = (0.06, 0.03)
+WORDS = ("verdict", "gradient", "difference", "bias", "error", "p", "detectable", "slope")
+
+
+def random_scene(number):
+    """Return parameters, and a function of them that returns (scene, camera)."""
+    rng = np.random.default_rng([7, number])
+    lamp, size = rng.uniform([-0.8, -0.8, 1.8], [0.2, 0.2, 2.2]), rng.uniform(0.4, 0.9)
+    box, ball = rng.uniform([-0.6, -0.6, 0.35], [0.0, 0.5, 0.8]), rng.uniform([0.2, -0.5, 0.3], [0.8, 0.5, 0.9])
+    sheet, angle = rng.uniform([-0.3, -0.4, 1.1], [0.5, 0.3, 1.4]), rng.uniform(0.0, 1.5)
+    shape = (mc.Quad, mc.Triangle, mc.Disk)[number % 3]
+    wall = mc.Mirror(0.8) if number % 4 == 3 else mc.Diffuse(rng.uniform(0.3, 0.8))
+    metal = mc.RoughConductor(rng.uniform(0.2, 0.5), 0.9) if number % 2 else mc.Diffuse(0.5)
+    params = {"lamp": lamp[0], "box": box[1], "ball": ball[2], "albedo": rng.uniform(0.3, 0.7), "eye": 0.1}
+    c, s = np.cos(angle), np.sin(angle)
+
+    def at(x, **changes):
+        return jnp.stack([jnp.asarray(changes.get(k, v), float) for k, v in zip("xyz", x)])
+
+    def blade():
+        if shape is mc.Disk:
+            return mc.Disk(sheet, (s, 0.2, c), 0.3, mc.Diffuse(0.3))
+        edges = np.array([0.5 * c, 0.5 * s, 0.1]), np.array([-0.5 * s, 0.5 * c, 0.1])
+        if shape is mc.Quad:
+            return mc.Quad(sheet, *edges, mc.Diffuse(0.3))
+        return mc.Triangle(sheet, sheet + edges[0], sheet + edges[1], mc.Diffuse(0.3))
+
+    def make(p):
+        scene = mc.Scene([
+            mc.Quad([-2.0, -2.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0], mc.Diffuse(p["albedo"])),
+            mc.Quad([-2.0, 2.0, 0.0], [4.0, 0.0, 0.0], [0.0, 0.0, 2.5], wall),
+            mc.Quad(at(lamp, x=p["lamp"]), [0.0, size, 0.0], [size, 0.0, 0.0], mc.Diffuse(0.0), emission=8.0),
+            mc.Box(at(box, y=p["box"]), [0.5, 0.4, 0.6], [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]], mc.Diffuse(0.6)),
+            mc.Sphere(at(ball, z=p["ball"]), 0.28, metal),
+            blade(),
+        ])  # fmt: skip
+        return scene, mc.PinholeCamera(at([0.0, -3.2, 1.3], x=p["eye"]), [0.0, 0.0, 0.6], (0, 0, 1), 45.0, 32, 24)
+
+    return params, make
+
+
+def main():
+    options = arguments()
+    found: dict = {"n": options.n, "steps": STEPS, "bounces": options.bounces, "scenes": []}
+    for number in range(options.scenes):
+        params, make = random_scene(number)
+
+        def moving(p, make=make):
+            return mc.moving_paths(*make(p), bounces=options.bounces)
+
+        how = {"n": options.n, "scale": 1.0, "steps": STEPS, "sampler": mc.Sobol(), "key": number}
+        report = mc.gradcheck(moving, params, **how)
+        norm = float(np.linalg.norm([f.gradient for f in report.findings]))
+        findings = {f.name: {word: getattr(f, word) for word in WORDS} for f in report.findings}
+        result = {
+            "verdict": report.verdict, "flags": report.flags, "norm": norm, "findings": findings,
+            "detectable_share": max(f.detectable for f in report.findings) / norm,
+        }  # fmt: skip
+        found["scenes"].append(result)
+        print(f"{number:2d} {result['verdict']:12s} detectable {100 * result['detectable_share']:.2f} % of the norm, "
+              f"p {min(f.p for f in report.findings):.2g} {report.flags}", flush=True)  # fmt: skip
+    write_json(options.out, found | {"machine": machine(), "versions": versions()})
+
+
+def arguments():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenes", type=int, default=12)
+    parser.add_argument("--n", type=int, default=1 << 20, help="samples of each part")
+    parser.add_argument("--bounces", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="the file of results")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
