@@ -2,9 +2,9 @@
 
     python benchmarks/gradient_checks.py [--scenes 12] [--n 1048576]
 
-Each scene has a floor, a wall that may be a mirror, a lamp, a box, a ball and a sheet at random places; five numbers move:
-the lamp, the box, the ball, an albedo and the camera. ``mc.gradcheck`` says whether the derivative of the mean of the
-image is biased, and which bias it would have found. All of it is in ``benchmarks/results/gradient_checks.json``.
+Each scene has a floor, a wall that may be a mirror, a lamp, a box, a ball and a sheet at random places. Five numbers
+move: the lamp, the box, the ball, an albedo and the camera. ``mc.gradcheck`` says whether the derivative of the mean of
+the image is biased, and which bias it would have found. All of it is in ``benchmarks/results/gradient_checks.json``.
 """
 
 import argparse
@@ -33,8 +33,8 @@ def random_scene(number):
     params = {"lamp": lamp[0], "box": box[1], "ball": ball[2], "albedo": rng.uniform(0.3, 0.7), "eye": 0.1}
     c, s = np.cos(angle), np.sin(angle)
 
-    def at(x, **changes):
-        return jnp.stack([jnp.asarray(changes.get(k, v), float) for k, v in zip("xyz", x)])
+    def at(place, **changes):
+        return jnp.stack([jnp.asarray(changes.get(k, v), float) for k, v in zip("xyz", place)])
 
     def blade():
         if shape is mc.Disk:

@@ -197,3 +197,18 @@ def test_nothing_is_lost_to_rounding(mode):
     params = {"center": np.zeros(3), "size": np.array([2.0, 2.0, 2.0]), "ball": np.array([-0.4, -0.2, 0.2])}
     found = mc.grad_integrate(make, params, n=1 << 16, mode=mode, key=1)
     assert found.nonfinite == 0
+
+
+@pytest.mark.parametrize("make", [mc.radiance, mc.moving_radiance])
+def test_light_behind_glass_by_its_index(make):
+    """A share 1 - F of the light passes, and spreads: (1 - F) / n^2 with F = ((n - 1) / (n + 1))^2."""
+
+    def seen(ior):
+        glass = mc.Quad((-5, -5, 1), (0, 10, 0), (10, 0, 0), mc.Dielectric(ior))
+        lamp = mc.Quad((-5, -5, 4), (0, 10, 0), (10, 0, 0), mc.Diffuse(0.0), emission=1.0)
+        return make(mc.Scene([glass, lamp]), (0, 0, 0), (0, 0, 1), bounces=1)
+
+    found = mc.grad_integrate(seen, 1.5, n=1 << 12, mode="forward", sampler=mc.Sobol())
+    part = found.interior
+    assert part.mean == pytest.approx(-0.128 / 2.25 - 2.0 * 0.96 / 1.5**3, abs=2e-3)
+    assert part.stderr < 1e-3

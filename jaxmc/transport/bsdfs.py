@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from .derivatives import drawn_with
 from .fresnel import fresnel_conductor, fresnel_dielectric, refract
 from .hits import Surface, at
 from .lookups import is_among
@@ -186,7 +187,8 @@ def _sample_dielectric(ior, surface, arriving, u):
     reflectance = fresnel_dielectric(jnp.clip(-dot(arriving, surface.normal), 0.0, 1.0), eta)
     reflects = u < reflectance
     wi = where(reflects, reflect(arriving, surface.normal), refract(arriving, surface.normal, eta))
-    return wi, jnp.where(reflects, 1.0, 1.0 / (eta * eta))
+    share = drawn_with(jnp.where(reflects, reflectance, 1.0 - reflectance))
+    return wi, jnp.where(reflects, 1.0, 1.0 / (eta * eta)) * share
 
 
 def reflect(direction: Vec3, normal: Vec3) -> Vec3:

@@ -58,5 +58,20 @@ def _quotient(operands, tangents):
     return jnp.divide(x, y), (tangents[0] - tangents[1] * (x * slope)) * slope
 
 
+@jax.custom_jvp
+def drawn_with(probability):
+    """Return 1, with the logarithmic derivative of the probability of a choice that counts as made.
+
+    What is worth ``share / probability`` where both are equal has this derivative once the choice stays as it is.
+    """
+    # A choice that the compiler takes: the result then has the batch axes of the probability.
+    return jnp.where(True, 1.0, probability)
+
+
+@drawn_with.defjvp
+def _drawn_with(x, tangent):
+    return drawn_with(x[0]), tangent[0] * _finite_or_zero(1.0 / x[0])
+
+
 def _finite_or_zero(x):
     return jnp.where(jnp.isfinite(x), x, 0.0)

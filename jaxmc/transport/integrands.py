@@ -33,8 +33,8 @@ def path_integrand(scene: Scene, camera: Camera, *, bounces, **options: Unpack[P
     event; ``Integrand.labels`` names them. Where the camera has ``antialias=False`` the first two only choose the
     pixel, and ``render``, which knows it, begins with the scattering events. The value is radiance, linear: a number
     for a grey scene, else RGB of shape (3,). ``jax.grad`` with respect to the scene's values gives the interior
-    derivative only: what moving silhouettes and shadow edges add is missing. ``mc.gradcheck`` says whether that
-    matters; for direct light at a point ``mc.direct_irradiance`` has both parts.
+    derivative only: what moving silhouettes and shadow edges add is missing, and whole in ``mc.moving_paths``.
+    ``mc.gradcheck`` says whether that matters.
 
     Args:
         scene: what is there.
