@@ -188,7 +188,7 @@ def test_nothing_is_lost_to_rounding(mode):
     """A furnace of one albedo: no geometry matters, and no derivative is NaN."""
 
     def make(p):
-        walls = mc.Box(p["center"], p["size"], material=mc.Diffuse(0.5), emission=1.0)
+        walls = mc.Box(p["center"], p["size"], material=mc.Diffuse(0.5), emission=1.0, two_sided=True)
         return mc.moving_paths(
             mc.Scene([walls, mc.Sphere(p["ball"], 0.3, mc.Diffuse(0.5), emission=1.0)]),
             mc.PinholeCamera((0.5, 0.4, 0.3), (-0.5, -0.2, 0.1), fov=60.0, width=8, height=8), bounces=12,

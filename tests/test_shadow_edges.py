@@ -302,7 +302,7 @@ def test_known_mistakes_are_found(monkeypatch, wrong):
         ).boundary.mean
         assert abs(found.boundary.mean["width"] - exact["width"]) > 0.02 * abs(exact["width"])
     else:
-        monkeypatch.setattr(shadows, "flow", lambda face, point, wi, distance: Flowed(wi, wi, 1.0))
+        monkeypatch.setattr(shadows, "flow", lambda face, point, wi, distance, own: Flowed(wi, wi, 1.0))
         family = FAMILIES["shadow of a half plane"]
         with pytest.raises(AssertionError):
             # A function of its own, or a kernel without the mistake is found again.

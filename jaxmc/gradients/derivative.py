@@ -160,7 +160,8 @@ def derivatives(make_integrand, params, mode="auto", together=False) -> WithBoun
     if mode not in MODES:
         raise ValueError(f"mode must be one of {', '.join(MODES)}, got {mode!r}")
     if mode == "auto":
-        mode = "forward" if sum(math.prod(x.shape) for x in jax.tree.leaves(params)) <= FEW else "reverse"
+        few = sum(math.prod(x.shape) for x in jax.tree.leaves(params)) <= FEW
+        mode = "forward" if few or not together else "reverse"
     made = as_parts(make_integrand(params))
     held = made.held if _keeps_structure(make_integrand, params, made) else 0
     inside, around, at_once = made.interior, made.boundary, together and mode == "reverse"

@@ -16,6 +16,8 @@ from ..transport.flats import FlatLight
 from ..transport.primitives import is_concrete
 from ..transport.vec import Vec3, cross, dot, larger, smaller, where
 
+GRAIN = 1e-7  # of the squared cosine of a sphere's cone: below that it is rounding
+
 
 class Faces(NamedTuple):
     """The faces of a scene as arrays, one number of each for every face: points of a flat one are
@@ -97,8 +99,9 @@ class Flowed(NamedTuple):
     ratio: Any
 
 
-def flow(face: Faces, point: Vec3, wi: Vec3, distance) -> Flowed:
-    """Return how a sample on a face, seen from ``point``, moves.
+def flow(face: Faces, point: Vec3, wi: Vec3, distance, own=False) -> Flowed:
+    """Return how a sample on a face, seen from ``point``, moves; ``own``: the point lies on that face, as it may on the
+    inside of a sphere.
 
     ``wi`` and ``distance`` say where the sample is; both count as constants. The direction is equal to ``wi``, the
     ratio to 1; their derivatives are those of the flow, written out: sums of what moves times what is known.
@@ -106,7 +109,7 @@ def flow(face: Faces, point: Vec3, wi: Vec3, distance) -> Flowed:
     wi, distance = still(wi), still(distance)
     start, fixed = still(point), still(face)
     to_center = fixed.center - start
-    outside = (fixed.radius > 0.0) & (dot(to_center, to_center) > fixed.radius * fixed.radius)
+    outside = (fixed.radius > 0.0) & (dot(to_center, to_center) > fixed.radius * fixed.radius) & ~jnp.asarray(own)
     pinned, in_cone = _pinned(face, fixed, point, wi, distance), _in_cone(face, fixed, point, wi, distance, outside)
     return Flowed(*(where(outside, a, b) for a, b in zip(in_cone, pinned)))
 
@@ -141,7 +144,8 @@ def _in_cone(face, fixed, point, wi, distance, outside):
     moving, to = face.center - point, where(outside, fixed.center - still(point), Vec3(1.0, 0.0, 0.0))
     inverse = 1.0 / jnp.sqrt(dot(to, to))
     axis, sine = to * inverse, jnp.where(outside, fixed.radius, 0.5) * inverse
-    cosine = jnp.sqrt(1.0 - sine * sine)
+    # A point that rounding leaves outside of the sphere by a hair sees a half space.
+    cosine = jnp.sqrt(larger(1.0 - sine * sine, GRAIN))
     most = sine * sine / (1.0 + cosine)
     apart = wi - axis
     share = smaller(0.5 * dot(apart, apart) / most, 1.0)

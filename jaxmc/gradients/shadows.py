@@ -86,12 +86,12 @@ def on_plane_of(world, found, face):
     return jnp.asarray(np.vstack([plane, np.zeros((1, rest.size), bool)]))[known] & (known >= 0)
 
 
-def velocity(world: World, place: Place, point: Vec3, face, distance, used):
+def velocity(world: World, place: Place, point: Vec3, own, face, distance, used):
     """Return h: how far the silhouette moves over what lies behind, a face or the sky, where it is ``used``."""
     # Keep what is not used finite, or the chain rule makes it NaN.
     is_face = used & (face >= 0)
     length = jnp.where(is_face, distance, 1.0)
-    behind = flow(world.values.faces.at(jnp.where(is_face, face, -1)), point, place.wi, length).wi
+    behind = flow(world.values.faces.at(jnp.where(is_face, face, -1)), point, place.wi, length, face == own).wi
     behind = where(is_face, behind, place.wi)
     away = (place.point - point) * jnp.where(used, 1.0 / jnp.where(used, place.distance, 1.0), 0.0)
     return jnp.where(used, dot(place.away, away) - dot(place.away, behind), 0.0)
@@ -134,7 +134,7 @@ def shadows(world: World, found: Silhouettes, lamps, strategy, vertex: Vertex, u
     shines = jnp.where(dot(outward, place.wi) < 0.0, front, back)
     reached = (hit.face == face) & ((face == SKY) | shines)
     used = reached & seen.seen & (chosen.density > 0.0) & (dot(n, place.wi) > 0.0) & draws(vertex)
-    h = velocity(world, place, vertex.moving.point, face, hit.distance, used)
+    h = velocity(world, place, vertex.moving.point, surface.face, face, hit.distance, used)
     light = one_of(still(world.values.emission), face)
     if world.rest.sky is not None:
         light = where(face == SKY, sky_radiance(still(world.values.sky), place.wi), light)
@@ -154,7 +154,7 @@ def outlines(world: World, found: Silhouettes, strategy, vertex: Vertex, u, refl
     seen = scan(world, found, place, surface.point, surface.face)
     hit, above = seen.behind, dot(surface.normal, place.wi) > 0.0
     used = seen.seen & (hit.face >= 0) & (chosen.density > 0.0) & above & draws(vertex)
-    h = velocity(world, place, vertex.moving.point, hit.face, hit.distance, used)
+    h = velocity(world, place, vertex.moving.point, surface.face, hit.face, hit.distance, used)
     light = reflected_along(ray(surface.point, place.wi), hit._replace(face=jnp.where(used, hit.face, -1)))
     return weighted(world, vertex, strategy, place, chosen.density, used, light, h)
 

@@ -136,7 +136,8 @@ def _light(world, strategy, vertex, u, first, anywhere):
         rest, strategy, surface.point, surface.normal, surface.face, u[first], u[first + 1], which
     )
     there = light.inverse_pdf > 0.0
-    moved = flow(world.values.faces.at(face), vertex.moving.point, light.wi, jnp.where(there, light.distance, 1.0))
+    row, distance, own = world.values.faces.at(face), jnp.where(there, light.distance, 1.0), face == surface.face
+    moved = flow(row, vertex.moving.point, light.wi, distance, own)
     value, pdf, cosine = evaluate(world, strategy, vertex, moved.wi)
     matters = there & (cosine > 0.0) & (surface.face >= 0)
     toward = ray(surface.point, light.wi)
@@ -151,8 +152,8 @@ def _light(world, strategy, vertex, u, first, anywhere):
 def _moved(world, strategy, vertex, drawn, hit):
     """Return how the point that a direction has met, the direction and its weight move."""
     row, distance = _met(world, hit)
-    pinned = flow(row, vertex.moving.point, drawn.wi, distance)
-    free = hit.face < 0
+    free, own = hit.face < 0, hit.face == vertex.surface.face
+    pinned = flow(row, vertex.moving.point, drawn.wi, distance, own)
     wi = where(free, drawn.wi, pinned.wi)
     value, _, cosine = evaluate(world, strategy, vertex, wi)
     # What is not used must not turn derivatives to NaN.
