@@ -1,6 +1,8 @@
 """The studies as commands: ``jaxmc study NAME``."""
 
+import contextlib
 import os
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -203,6 +205,13 @@ def _report(options, kept, about, run) -> int:
     try:
         with kept_in(kept, about, options.resume, options.every):
             print(f"report: {run()}", flush=True)
+    except ValueError:
+        # Leave nothing behind of a run that could not begin.
+        if not any(kept.glob("*.npz")):
+            shutil.rmtree(kept, ignore_errors=True)
+            with contextlib.suppress(OSError):
+                Path(options.out).rmdir()
+        raise
     except machines.LostProcess as error:
         print(f"jaxmc: {error}", file=sys.stderr, flush=True)
         os._exit(3)  # the end of `jax.distributed` would wait for the process that is lost

@@ -231,9 +231,9 @@ def half_of_the_rim(right):
 
 @pytest.mark.parametrize("mutate", [rim_by_angle_alone, pytest.param(half_of_the_rim, marks=SLOW)])
 def test_the_check_rejects_a_mutant(mutate, monkeypatch):
-    from jaxmc.gradients import shadows
+    from jaxmc.gradients import curves
 
-    monkeypatch.setattr(shadows, "rim_point", mutate(disks.rim_point))
+    monkeypatch.setattr(curves, "rim_point", mutate(disks.rim_point))
     exact = {"radius": -np.asarray(value_and_derivatives(along_the_rim, **TILTED)[1]["radius"])}
     found = derivatives(lambda p: before_the_sky({**TILTED, **p}), {"radius": TILTED["radius"]})
     with pytest.raises(AssertionError, match=r"^radius is off"):
