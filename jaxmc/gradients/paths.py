@@ -30,7 +30,8 @@ def moving_paths(scene: Scene, camera: Camera, *, bounces, **options: Unpack[Pat
 
     What is not covered is said in ``flags``: edges seen in curved mirrors, through glass or in several mirrors,
     primitives that pass through each other, edges that overlap in part. Primitives that share an edge count as one
-    surface, and must move together. Derivatives of second order are wrong.
+    surface, and must move together. Derivatives of second order are wrong. Where a surface that is seen meets a mirror
+    or another one, derivatives by its place have heavy tails, of one over the distance: look at ``kurtosis``.
 
     Args:
         scene: what is there.
