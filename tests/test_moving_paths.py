@@ -212,3 +212,18 @@ def test_light_behind_glass_by_its_index(make):
     part = found.interior
     assert part.mean == pytest.approx(-0.128 / 2.25 - 2.0 * 0.96 / 1.5**3, abs=2e-3)
     assert part.stderr < 1e-3
+
+
+@pytest.mark.slow
+def test_images_of_derivatives_with_and_without_replicates():
+    scene = BY_NAME["sphere over the film's edge"]
+    params = {"radius": scene.params["radius"]}
+
+    def make(p):
+        return scene.make(scene.params | p)
+
+    for sampler in (mc.Independent(), mc.Sobol()):
+        image = mc.render_grad(make, params, spp=8, bounces=0, sampler=sampler)
+        camera = make(params)[1]
+        assert np.shape(image.mean["radius"]) == np.shape(image.stderr["radius"])
+        assert np.shape(image.mean["radius"])[:2] == (camera.height, camera.width)

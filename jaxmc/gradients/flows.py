@@ -206,5 +206,4 @@ def normal_at(face: Faces, point: Vec3, normal: Vec3) -> Vec3:
 def ratio(x):
     """Return ``x`` over its own value: 1, with the logarithmic derivative of ``x``; plain 1 where that is 0."""
     fixed = still(x)
-    inverse = jnp.where(fixed != 0.0, 1.0 / jnp.where(fixed != 0.0, fixed, 1.0), 0.0)
-    return attach(jnp.ones_like(fixed), x * inverse)
+    return attach(jnp.ones_like(fixed), x * _inverse(fixed))

@@ -108,7 +108,8 @@ def _shaped(estimate, camera):
         # A leaf has the pixels, then a colour where the scene has colours, then the shape of the parameter.
         return np.reshape(x, (camera.height, camera.width, *np.shape(x)[1:]))
 
-    moments = [
-        MomentsResult(image(m.n), image(m.mean), [image(c) for c in m.central], m.nonfinite) for m in estimate.moments
-    ]
-    return dataclasses.replace(estimate, moments=moments)
+    def shaped(m):
+        return MomentsResult(image(m.n), image(m.mean), [image(c) for c in m.central], m.nonfinite)
+
+    between = estimate.between and list(map(shaped, estimate.between))
+    return dataclasses.replace(estimate, moments=list(map(shaped, estimate.moments)), between=between)

@@ -50,16 +50,16 @@ class Vertex(NamedTuple):
     beta: Any
 
 
-def start(world: World, wo: Ray, wi: Vec3, origin: Vec3, ahead=0.0) -> tuple[Walk, Any]:
+def start(world: World, wo: Ray, wi: Vec3, origin: Vec3) -> tuple[Walk, Any]:
     """Return a path after its first ray, and the radiance that it meets there.
 
-    The ray ``wo`` is at rest; ``origin`` and ``wi`` are where it comes from as that moves, ``ahead`` of its start.
+    The ray ``wo`` is at rest; ``origin`` and ``wi`` are the same in motion.
     """
     rest = world.rest
     hit = closest_hit(rest, wo)
     one = jnp.ones(()) if rest.channels == 1 else Vec3(*[jnp.ones(())] * 3)
     row, distance = _met(world, hit)
-    walk = Walk(wo, hit, carried(row, origin, wi, ahead + distance), wi, one)
+    walk = Walk(wo, hit, carried(row, origin, wi, distance), wi, one)
     met = black(rest)
     if rest.lights:
         met = one_of(world.values.emission, hit.face) * emission_toward(world.shares, wo, hit)
