@@ -19,6 +19,7 @@ from ..integration.estimate import Estimate
 from ..integration.integrand import Integrand
 from ..integration.intervals import Interval
 from ..integration.samplers import seed_words
+from .flows import sweeps
 
 FEW = 4  # parameters, up to which forward mode is the cheaper one
 EDGES = 0x65646765  # keeps the samples of the boundary apart from those of the interior
@@ -231,7 +232,11 @@ class _OfMean:
         def mean(params):
             return jax.tree.map(lambda x: x.mean(0), each(lambda u: at(u, params)))
 
-        return jax.jacrev(mean)(params)
+        token = sweeps.set(True)
+        try:
+            return jax.jacrev(mean)(params)
+        finally:
+            sweeps.reset(token)
 
 
 def as_parts(made) -> WithBoundary:

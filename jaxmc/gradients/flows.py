@@ -6,6 +6,9 @@ direction to the sky stays. So the edge of what is in front moves along with its
 integral over edges is only what lies behind them.
 """
 
+import dataclasses
+from contextvars import ContextVar
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -13,9 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..transport.flats import FlatLight
+from ..transport.lookups import SELECT_LIMIT
 from ..transport.primitives import is_concrete
 from ..transport.vec import Vec3, cross, dot, larger, smaller, where
 
+# Whether the derivative of many samples is swept back at once.
+sweeps: ContextVar[bool] = ContextVar("sweeps", default=False)
 GRAIN = 1e-7  # of the squared cosine of a sphere's cone: below that it is rounding
 
 
@@ -35,14 +41,56 @@ class Faces(NamedTuple):
 
 
 def one_of(tree, index):
-    """Return row ``index`` of every array in a tree; ``index`` may also be an array of known integers.
-
-    A traced index compares with all of them: the derivative of a gather is a scatter, which is slow, and which XLA:CPU
-    of jaxlib 0.10.2 fails to compile in some loops.
-    """
+    """Return row ``index`` of every array in a tree; ``index`` may also be an array of known integers."""
     if is_concrete(index):
         return jax.tree.map(lambda x: x[index], tree)
-    return jax.tree.map(lambda x: jnp.sum(jnp.where(jnp.arange(len(x)) == index, x, 0.0)), tree)
+    return table(tree).at(index)
+
+
+@partial(jax.tree_util.register_dataclass, data_fields=["rows", "matrix", "numbers"], meta_fields=["faces"])
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """Arrays ``rows`` in a tree, over the faces that have these numbers. Where derivatives are swept back, ``matrix``
+    has them all, one number of a face to a row, and ``numbers`` what they are now.
+    """
+
+    rows: Any
+    faces: tuple[int, ...]
+    matrix: Any = None
+    numbers: Any = None
+
+    def at(self, face):
+        """Return what a face has; if it is none of them anything, and its derivative is 0.
+
+        A traced number compares with all: the derivative of a gather is a scatter, which is slow, and which XLA:CPU of
+        jaxlib 0.10.2 fails to compile in some loops. What one sweep adds up over many samples is a matrix product.
+        """
+        here = jnp.asarray(self.faces) == face
+        if self.matrix is None:
+            return jax.tree.map(lambda x: jnp.sum(jnp.where(here, x, 0.0)), self.rows)
+        value = [self._chosen(face, x) for x in self.numbers]
+        moving = self.matrix @ here.astype(self.matrix.dtype)
+        # A split is put together again on the way back, where slices would be added up.
+        moving = [x[0] for x in jax.lax.split(moving, [1] * len(value))]
+        return jax.tree.unflatten(jax.tree.structure(self.rows), attach(value, moving))
+
+    def _chosen(self, face, x):
+        if not isinstance(x, tuple):
+            return jnp.sum(jnp.where(jnp.asarray(self.faces) == face, x, 0.0))
+        value = x[0]
+        for i, number in zip(self.faces[1:], x[1:]):
+            value = jnp.where(face == i, number, value)
+        return value
+
+
+def table(tree, faces=None) -> Table:
+    """Return arrays over faces, to look up those of one of ``faces``; of any without."""
+    faces = tuple(range(len(jax.tree.leaves(tree)[0]))) if faces is None else faces
+    tree = jax.tree.map(lambda x: jnp.asarray(x, float)[np.array(faces)], tree)
+    if not sweeps.get():
+        return Table(tree, faces)
+    leaves, few = jax.tree.leaves(tree), len(faces) <= SELECT_LIMIT
+    return Table(tree, faces, jnp.stack(leaves), [tuple(still(x)) if few else still(x) for x in leaves])
 
 
 def table_of_faces(outlines) -> Faces:
@@ -99,38 +147,43 @@ class Flowed(NamedTuple):
     ratio: Any
 
 
-def flow(face: Faces, point: Vec3, wi: Vec3, distance, own=False) -> Flowed:
+def flow(face: Faces, point: Vec3, wi: Vec3, distance, own=False, flat=False) -> Flowed:
     """Return how a sample on a face, seen from ``point``, moves; ``own``: the point lies on that face, as it may on the
-    inside of a sphere.
+    inside of a sphere; ``flat``: it is known to be no sphere.
 
     ``wi`` and ``distance`` say where the sample is; both count as constants. The direction is equal to ``wi``, the
     ratio to 1; their derivatives are those of the flow, written out: sums of what moves times what is known.
     """
     wi, distance = still(wi), still(distance)
     start, fixed = still(point), still(face)
+    if flat:
+        return _pinned(face, fixed, point, wi, distance, flat)
     to_center = fixed.center - start
     outside = (fixed.radius > 0.0) & (dot(to_center, to_center) > fixed.radius * fixed.radius) & ~jnp.asarray(own)
     pinned, in_cone = _pinned(face, fixed, point, wi, distance), _in_cone(face, fixed, point, wi, distance, outside)
     return Flowed(*(where(outside, a, b) for a, b in zip(in_cone, pinned)))
 
 
-def _pinned(face, fixed, point, wi, distance):
+def _pinned(face, fixed, point, wi, distance, flat=False):
     """Keep the sample at its material point: its solid angle goes as area times cosine over squared distance."""
     target = still(point) + wi * distance
     offset = target - fixed.center
     across = cross(fixed.half_u, fixed.half_v)
     inverse = _inverse(dot(across, across))
     u, v = dot(cross(offset, fixed.half_v), across) * inverse, dot(cross(fixed.half_u, offset), across) * inverse
-    is_sphere = fixed.radius > 0.0
-    outward = offset * _inverse(fixed.radius)
-    place = face.center + face.half_u * u + face.half_v * v + outward * jnp.where(is_sphere, face.radius, 0.0)
+    place, normal = face.center + face.half_u * u + face.half_v * v, across
+    if not flat:
+        is_sphere, outward = fixed.radius > 0.0, offset * _inverse(fixed.radius)
+        place = place + outward * jnp.where(is_sphere, face.radius, 0.0)
+        normal = where(is_sphere, outward, across)
     to, near = place - point, 1.0 / distance
     along = dot(wi, to) * near
     # The logarithm of cosine and area: of (half_u x half_v) . to, of a sphere's radius^2 outward . to.
-    normal = where(is_sphere, outward, across)
     height = _inverse(dot(normal, wi) * distance)
     area = dot(face.half_u, cross(fixed.half_v, wi)) + dot(face.half_v, cross(wi, fixed.half_u))
-    area = jnp.where(is_sphere, 2.0 * face.radius * _inverse(fixed.radius), area * (height * distance))
+    area = area * (height * distance)
+    if not flat:
+        area = jnp.where(is_sphere, 2.0 * face.radius * _inverse(fixed.radius), area)
     log_ratio = area + dot(normal, to) * height - 3.0 * along
     return Flowed(attach(target, place), attach(wi, to * near - wi * along), attach(jnp.ones_like(distance), log_ratio))
 
@@ -191,16 +244,14 @@ def carried(face: Faces, point: Vec3, wi: Vec3, distance) -> Vec3:
     return place + still(wi) * (motion(gap) / jnp.where(speed != 0.0, speed, 1.0))
 
 
-def normal_at(face: Faces, point: Vec3, normal: Vec3) -> Vec3:
-    """Return the unit normal of a face at a point of it; ``normal`` is what it is now, on either side."""
-    fixed = still(face)
-    across = where(fixed.radius > 0.0, still(point) - fixed.center, cross(fixed.half_u, fixed.half_v))
-    size = _inverse(jnp.sqrt(larger(dot(across, across), 0.0)))
-    side = jnp.where(dot(across, still(normal)) < 0.0, -size, size)
-    turned = cross(face.half_u, fixed.half_v) + cross(fixed.half_u, face.half_v)
-    turned = where(fixed.radius > 0.0, point - face.center, turned)
-    unit = still(normal)
-    return attach(unit, (turned - unit * dot(unit, turned)) * side)
+def turning_at(face: Faces, point: Vec3, wi: Vec3) -> Vec3:
+    """Return 0, with the derivative of the unit normal of a face at a point of it, on the side that ``wi`` comes from."""
+    normal = where(still(face.radius) > 0.0, point - face.center, cross(face.half_u, face.half_v))
+    fixed = still(normal)
+    size = _inverse(jnp.sqrt(larger(dot(fixed, fixed), 0.0)))
+    size = jnp.where(dot(fixed, still(wi)) > 0.0, -size, size)
+    unit, turned = fixed * size, normal * size
+    return motion(turned - unit * dot(unit, turned))
 
 
 def ratio(x):

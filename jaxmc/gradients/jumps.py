@@ -17,7 +17,7 @@ from ..transport.rays import ray
 from ..transport.vec import Vec3, cross, dot, normalize, where
 from .arcs import Cone, Halfspace, cone_around, corners_of, middle_of, pyramid
 from .curves import Place, draw, holds, kinds, look, pieces, place_on
-from .flows import Faces, attach, flow, motion, normal_at, still
+from .flows import Faces, attach, flow, motion, still, turning_at
 from .shadows import draws, is_free, scan
 from .silhouettes import Silhouettes
 from .walks import Vertex, evaluate
@@ -191,7 +191,7 @@ def _mirror(world: World, face, fixed: bool) -> tuple[Faces, Vec3]:
     """Return a plane mirror and its unit normal."""
     row = world.values.faces.at(face)
     normal = normalize(cross(row.half_u, row.half_v))
-    return (still(row), still(normal)) if fixed else (row, normal_at(row, row.center, still(normal)))
+    return (still(row), still(normal)) if fixed else (row, attach(normal, turning_at(row, row.center, -normal)))
 
 
 def _image(world, face, point, fixed=False):

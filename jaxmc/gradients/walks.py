@@ -15,25 +15,27 @@ from ..transport import paths
 from ..transport.bsdfs import Kinds, evaluate_bsdf, kinds_of, power_heuristic, reflect, sample_bsdf
 from ..transport.fresnel import fresnel_dielectric, refract
 from ..transport.hits import Hit, Surface, closest_hit, surface_at, unoccluded
-from ..transport.lights import black, emission_toward, sample_light
+from ..transport.lights import black, emission_toward, has_flat_lights, sample_light
 from ..transport.rays import Ray, ray
 from ..transport.sky import sky_radiance
 from ..transport.strategy import POLAR
 from ..transport.vec import Vec3, dot, where
-from .flows import attach, carried, flow, normal_at, one_of, ratio, still
-from .world import World
+from .flows import attach, carried, flow, ratio, still, sweeps, turning_at
+from .world import Row, World
 
 KEPT = 8  # events of which reverse mode keeps everything
 
 
 class Walk(NamedTuple):
-    """A path on its way: its last ray and what that has met, at rest; and in motion the point there, the direction in
-    which it arrives, and throughput.
+    """A path on its way: its last ray and what that has met, at rest; and in motion the point there, how the unit
+    normal turns, the reflectance, the direction in which it arrives, and throughput.
     """
 
     ray: Ray
     hit: Hit
     point: Vec3
+    turning: Vec3
+    reflectance: Any
     arriving: Vec3
     beta: Any
 
@@ -58,31 +60,35 @@ def start(world: World, wo: Ray, wi: Vec3, origin: Vec3) -> tuple[Walk, Any]:
     rest = world.rest
     hit = closest_hit(rest, wo)
     one = jnp.ones(()) if rest.channels == 1 else Vec3(*[jnp.ones(())] * 3)
-    row, distance = _met(world, hit)
-    walk = Walk(wo, hit, carried(row, origin, wi, distance), wi, one)
+    row, distance = world.rows.at(hit.face), distance_to(hit)
+    walk = _met(Walk(wo, hit, None, None, None, wi, one), row, carried(row.face, origin, wi, distance))
     met = black(rest)
     if rest.lights:
-        met = one_of(world.values.emission, hit.face) * emission_toward(world.shares, wo, hit)
+        met = row.emission * emission_toward(world.shares, wo, hit)
     if rest.sky is not None:
         met = met + where(hit.face < 0, sky_radiance(world.values.sky, wi), black(rest))
     return walk, met
 
 
-def _met(world, hit):
-    return world.values.faces.at(hit.face), jnp.where(hit.face >= 0, hit.distance, 1.0)
+def distance_to(hit):
+    return jnp.where(hit.face >= 0, hit.distance, 1.0)
+
+
+def _met(walk: Walk, row: Row, point: Vec3) -> Walk:
+    turning = turning_at(row.face, point, walk.ray.direction)
+    return walk._replace(point=point, turning=turning, reflectance=row.reflectance)
 
 
 def vertex_of(world: World, walk: Walk) -> Vertex:
     """Return the surface that a path has met."""
-    surface = surface_at(world.rest, walk.ray, walk.hit)
-    row = world.values.faces.at(surface.face)
-    moving = surface._replace(
-        point=attach(surface.point, walk.point), normal=normal_at(row, walk.point, surface.normal)
-    )
-    reflectance = attach(surface.reflectance, one_of(world.values.reflectance, surface.face))
+    return _vertex(world, surface_at(world.rest, walk.ray, walk.hit), walk)
+
+
+def _vertex(world, surface, walk):
+    moving = surface._replace(point=attach(surface.point, walk.point), normal=attach(surface.normal, walk.turning))
     return Vertex(
         surface, kinds_of(world.rest, surface), moving, kinds_of(world.moving, surface), walk.ray.direction,
-        attach(walk.ray.direction, walk.arriving), walk.beta * reflectance,
+        attach(walk.ray.direction, walk.arriving), walk.beta * attach(surface.reflectance, walk.reflectance),
     )  # fmt: skip
 
 
@@ -95,92 +101,148 @@ def evaluate(world: World, strategy, vertex: Vertex, wi: Vec3):
     return value, still(pdf), still(cosine)
 
 
+class Found(NamedTuple):
+    """What an event has found with the scene at rest: the sample of a light and what it is worth, the direction drawn,
+    what that is worth and where it leads, and the share of the emission there that counts.
+    """
+
+    light: Vec3
+    distance: Any
+    face: Any
+    brings: Any
+    wi: Vec3
+    weight: Any
+    hit: Hit
+    share: Any
+
+
 def scatter(world: World, strategy, u, first, walk: Walk, event) -> tuple[Walk, Any]:
     """Scatter a path at what it has met: return it after that, and the radiance that this brought."""
-    return scatter_at(world, strategy, u, first, vertex_of(world, walk), event)
+    rest, event = _each_time((world.rest, event))
+    surface = still(surface_at(rest, walk.ray, walk.hit))
+    beta = walk.beta * surface.reflectance
+    found = _find(world._replace(rest=rest), strategy, u, first, surface, walk.ray.direction, beta, event)
+
+    def move(tables, walk, found):
+        (rows, lights), found = _each_time((tables, found))
+        here = world._replace(rows=rows, lights=lights)
+        return _move(here, strategy, _vertex(here, surface, walk), found)
+
+    # A sweep back keeps what was found, and does again what follows from it.
+    again = partial(jax.checkpoint, prevent_cse=False) if sweeps.get() else partial
+    return again(move)((world.rows, world.lights), walk, found)
+
+
+def _each_time(tree):
+    """Return a tree, in a sweep back such that nothing that follows from it is done before the loop it is in: that
+    would be memory to read; nor together with what is stored.
+    """
+    return lax.optimization_barrier(tree) if sweeps.get() else tree
 
 
 def scatter_at(world: World, strategy, u, first, vertex: Vertex, event, anywhere=False) -> tuple[Walk, Any]:
     """Scatter a path at a vertex, which may lie ``anywhere`` and not on a face."""
-    rest, surface, kinds = world.rest, vertex.surface, vertex.kinds
-    alive, gained = surface.face >= 0, black(rest)
+    found = _find(world, strategy, u, first, vertex.surface, vertex.came, vertex.beta, event, anywhere)
+    return _move(world, strategy, vertex, found)
+
+
+def _find(world, strategy, u, first, surface, came, beta, event, anywhere=False) -> Found:
+    """Return what an event finds with the scene at rest."""
+    rest, kinds, alive = world.rest, kinds_of(world.rest, surface), surface.face >= 0
+    light, distance, face, brings = surface.normal, 1.0, -1, 0.0
     if strategy.lights != "none" and rest.lights:
-        sampled = _light(world, strategy, vertex, u, first, anywhere)
-        gained = sampled if kinds.specular is None else where(kinds.specular, gained, sampled)
+        light, distance, face, brings = _light(rest, strategy, u, first, surface, kinds, came, anywhere)
     toward = first + strategy.coordinates(rest).index(POLAR)
-    drawn = sample_bsdf(rest, strategy.directions, surface, kinds, vertex.came, u[toward], u[toward + 1])
+    drawn = sample_bsdf(rest, strategy.directions, surface, kinds, came, u[toward], u[toward + 1])
     onward = ray(surface.point, drawn.wi)
     meet = partial(closest_hit, rest)
     hit = meet(onward, surface.face) if rest.size <= paths.FEW else paths.apart(rest, meet, onward, surface.face)
+    weight = drawn.weight
+    if strategy.roulette:
+        after = still(beta) * weight
+        survives, inverse = paths.play_roulette(strategy.roulette, after, kinds, event, u[toward + 2])
+        weight = where(survives, weight * inverse, jax.tree.map(jnp.zeros_like, weight))
+        alive = alive & survives
     # A path that has ended meets nothing, or what it meets by chance turns derivatives to NaN.
     hit = hit._replace(face=jnp.where(alive, hit.face, -1))
-    point, wi, weight = _moved(world, strategy, vertex, drawn, hit)
-    beta = vertex.beta * weight
-    if strategy.roulette:
-        survives, inverse = paths.play_roulette(strategy.roulette, still(beta), kinds, event, u[toward + 2])
-        alive, beta = alive & survives, beta * inverse
-        hit = hit._replace(face=jnp.where(alive, hit.face, -1))
-    if rest.sky is not None:
-        gained = gained + where(alive & (hit.face < 0), beta * sky_radiance(world.values.sky, wi), black(rest))
+    share = 0.0
     if rest.lights and not (strategy.lights == "nee" and kinds.specular is None):
         share = paths.emission_met(world.shares, strategy, onward, hit, drawn.pdf, surface, kinds.specular)
-        gained = gained + beta * (one_of(world.values.emission, hit.face) * share)
-    return Walk(onward, hit, point, wi, beta), gained
+    return _each_time(still(Found(light, distance, face, brings, drawn.wi, weight, hit, share)))
 
 
-def _light(world, strategy, vertex, u, first, anywhere):
-    """Return what a sample of the lights brings."""
-    rest, surface = world.rest, vertex.surface
+def _light(rest, strategy, u, first, surface, kinds, came, anywhere):
+    """Return the direction, the distance and the face of a sample of the lights, and what multiplies its radiance."""
     which = u[first + strategy.coordinates(rest).index("which light")] if len(rest.lights) > 1 else None
     light, _, face = sample_light(
         rest, strategy, surface.point, surface.normal, surface.face, u[first], u[first + 1], which
     )
-    there = light.inverse_pdf > 0.0
-    row, distance, own = world.values.faces.at(face), jnp.where(there, light.distance, 1.0), face == surface.face
-    moved = flow(row, vertex.moving.point, light.wi, distance, own)
-    value, pdf, cosine = evaluate(world, strategy, vertex, moved.wi)
+    there, cosine = light.inverse_pdf > 0.0, dot(surface.normal, light.wi)
     matters = there & (cosine > 0.0) & (surface.face >= 0)
-    toward = ray(surface.point, light.wi)
-    seen = unoccluded(rest, toward, light.distance, surface.face, face, anywhere)
-    weight = value * (moved.ratio * (light.inverse_pdf * (1.0 / jnp.pi)))
+    if kinds.specular is not None:
+        matters = matters & ~kinds.specular
+    seen = unoccluded(rest, ray(surface.point, light.wi), light.distance, surface.face, face, anywhere)
+    weight = light.inverse_pdf * (1.0 / jnp.pi)
     if strategy.lights == "mis":
+        _, pdf = evaluate_bsdf(rest, strategy.directions, surface, kinds, came, light.wi, cosine)
         weight = weight * power_heuristic(light.inverse_pdf, pdf)
-    brought = vertex.beta * one_of(world.values.emission, face) * weight
-    return where(matters & seen, brought, black(rest))
+    used = matters & seen
+    return light.wi, jnp.where(there, light.distance, 1.0), jnp.where(used, face, -1), jnp.where(used, weight, 0.0)
 
 
-def _moved(world, strategy, vertex, drawn, hit):
+def _move(world, strategy, vertex: Vertex, found: Found) -> tuple[Walk, Any]:
+    """Return a path after an event in motion, and the radiance that this brought."""
+    rest, gained = world.rest, black(world.rest)
+    if strategy.lights != "none" and rest.lights:
+        row, own = world.lights.at(found.face), found.face == vertex.surface.face
+        moved = flow(row.face, vertex.moving.point, found.light, found.distance, own, has_flat_lights(rest))
+        value, _, _ = evaluate(world, strategy, vertex, moved.wi)
+        brought = vertex.beta * row.emission * (value * (moved.ratio * found.brings))
+        gained = where(found.face >= 0, brought, gained)
+    row, hit = world.rows.at(found.hit.face), found.hit
+    point, wi, weight = _moved(world, strategy, vertex, found, row.face)
+    beta = vertex.beta * weight
+    if rest.sky is not None:
+        met = (vertex.surface.face >= 0) & (hit.face < 0)
+        gained = gained + where(met, beta * sky_radiance(world.values.sky, wi), black(rest))
+    if rest.lights and not (strategy.lights == "nee" and vertex.kinds.specular is None):
+        gained = gained + beta * (row.emission * found.share)
+    walk = Walk(ray(vertex.surface.point, found.wi), hit, None, None, None, wi, beta)
+    return _met(walk, row, point), gained
+
+
+def _moved(world, strategy, vertex, found, face):
     """Return how the point that a direction has met, the direction and its weight move."""
-    row, distance = _met(world, hit)
-    free, own = hit.face < 0, hit.face == vertex.surface.face
-    pinned = flow(row, vertex.moving.point, drawn.wi, distance, own)
-    wi = where(free, drawn.wi, pinned.wi)
+    free, own = found.hit.face < 0, found.hit.face == vertex.surface.face
+    distance = distance_to(found.hit)
+    pinned = flow(face, vertex.moving.point, found.wi, distance, own, world.rest.inverse_radius is None)
+    wi = where(free, found.wi, pinned.wi)
     value, _, cosine = evaluate(world, strategy, vertex, wi)
     # What is not used must not turn derivatives to NaN.
     change = jax.tree.map(lambda v: ratio(jnp.where(cosine > 0.0, v, 1.0)), value)
     change = change * jnp.where(free, 1.0, pinned.ratio)
     point = pinned.point
     if vertex.kinds.specular is not None:
-        led, factor = _led(world, vertex, drawn)
+        led, factor = _led(world, vertex, found)
         wi, change = where(vertex.kinds.specular, led, wi), where(vertex.kinds.specular, factor, change)
-        point = where(vertex.kinds.specular, carried(row, vertex.moving.point, led, distance), point)
-    return point, wi, change * drawn.weight
+        point = where(vertex.kinds.specular, carried(face, vertex.moving.point, led, distance), point)
+    return point, wi, change * found.weight
 
 
-def _led(world, vertex, drawn):
+def _led(world, vertex, found):
     """Return where a mirror or glass leads a ray, and by how much its share changes."""
     arriving, normal = vertex.arriving, vertex.moving.normal
     reflected, factor = reflect(arriving, normal), jnp.ones(())
     if not world.rest.dielectrics:
-        return attach(drawn.wi, reflected), factor
+        return attach(found.wi, reflected), factor
     ior = world.moving.ior.at(vertex.surface.face)
     ior = jnp.where(vertex.kinds.dielectric, ior, 1.5)
     eta = jnp.where(vertex.surface.behind, 1.0 / ior, ior)
     share = fresnel_dielectric(jnp.clip(-dot(arriving, normal), 0.0, 1.0), eta)
-    is_reflected = (dot(drawn.wi, vertex.surface.normal) > 0.0) | ~vertex.kinds.dielectric
+    is_reflected = (dot(found.wi, vertex.surface.normal) > 0.0) | ~vertex.kinds.dielectric
     passing = ratio(1.0 - share) * ratio(1.0 / (eta * eta))
     factor = jnp.where(vertex.kinds.dielectric, jnp.where(is_reflected, ratio(share), passing), 1.0)
-    return attach(drawn.wi, where(is_reflected, reflected, refract(arriving, normal, eta))), factor
+    return attach(found.wi, where(is_reflected, reflected, refract(arriving, normal, eta))), factor
 
 
 def follow(world: World, strategy, u, first, walk: Walk, bounces):

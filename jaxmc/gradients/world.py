@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,7 +13,7 @@ from ..transport.lookups import Lookup
 from ..transport.primitives import as_color
 from ..transport.scene import Scene
 from ..transport.vec import Vec3
-from .flows import Faces, attach, one_of, stacked, table_of_faces
+from .flows import Faces, Table, attach, one_of, stacked, table, table_of_faces
 
 
 class Values(NamedTuple):
@@ -30,8 +31,9 @@ class Values(NamedTuple):
     place: Any
 
 
+@partial(jax.tree_util.register_dataclass, data_fields=["values"], meta_fields=[])
 @dataclasses.dataclass(frozen=True)
-class Row:
+class Material:
     """A number for each face, as ``transport.lookups.Lookup`` has it, of values that all differ."""
 
     values: Any
@@ -41,15 +43,26 @@ class Row:
         return one_of(self.values, face)
 
 
+class Row(NamedTuple):
+    """What a face is, in motion."""
+
+    face: Faces
+    emission: Any
+    reflectance: Any
+
+
 class World(NamedTuple):
     """A scene at rest with all that is known of it, its values in motion, and a scene that has these values where
-    surfaces look up their materials; ``shares`` is the scene at rest with lights of radiance 1.
+    surfaces look up their materials; ``shares`` is the scene at rest with lights of radiance 1; ``rows`` and
+    ``lights`` have the values of all faces and of those that emit, to look up those of one.
     """
 
     rest: Scene
     values: Values
     moving: Scene
     shares: Scene
+    rows: Table
+    lights: Table
 
 
 def values_of(scene: Scene, place) -> Values:
@@ -83,11 +96,11 @@ def world(rest: Scene, at_rest: Values, values: Values) -> World:
     values = attach(jax.tree.map(lambda x: jnp.asarray(x, float), at_rest), values)
     moving, shares = copy.copy(rest), copy.copy(rest)
     if rest.rough:
-        moving.alpha = Row(values.alpha)
+        moving.alpha = Material(values.alpha)
     if rest.dielectrics:
-        moving.ior = Row(values.ior)
+        moving.ior = Material(values.ior)
     if rest.metals:
-        moving.metal = jax.tree.map(Row, values.metal)
+        moving.metal = jax.tree.map(Material, values.metal)
     one = jnp.ones(())
     if isinstance(rest.powers, tuple):
         shares.emitters = tuple((light, one) for light, _ in rest.emitters)
@@ -96,4 +109,6 @@ def world(rest: Scene, at_rest: Values, values: Values) -> World:
             group._replace(radiance=jnp.ones_like(jax.tree.leaves(group.radiance)[0])) for group in rest.emitters
         )
     shares.channels = 1
-    return World(rest, values, moving, shares)
+    rows = Row(values.faces, values.emission, values.reflectance)
+    lights = table(rows._replace(reflectance=()), rest.lights) if rest.lights else None
+    return World(rest, values, moving, shares, table(rows), lights)

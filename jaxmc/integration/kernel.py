@@ -23,7 +23,7 @@ LANES = 1920
 ROWS = 32
 VECTOR = 64  # a number of lanes that vector code divides evenly
 BLOCK = ROWS * LANES
-TOGETHER = 1024  # lanes of samples that are worked on together: powers of two divide randomised points evenly
+TOGETHER = 2048  # lanes of samples that are worked on together: powers of two divide randomised points evenly
 CHUNK = 1 << 18  # samples to a kernel call: long against the cost of a call, short against a progress bar
 
 

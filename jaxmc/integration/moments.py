@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -37,7 +38,12 @@ class Moments:
             raise ValueError(f"Moments keeps orders up to 2, 3 or 4, got order={self.order!r}")
 
     def reduce(self, values, valid, axes):
-        return [_reduce_moments(leaf, valid, axes, self.order) for leaf in jax.tree.leaves(apply(self.of, values))]
+        leaves = jax.tree.leaves(apply(self.of, values))
+        if valid.shape[-1] > 1 or len({leaf.dtype for leaf in leaves}) > 1:
+            return [_reduce_moments(leaf, valid, axes, self.order) for leaf in leaves]
+        # Where there is a single lane, put all numbers side by side instead.
+        flat = jnp.concatenate([leaf.reshape(*valid.shape, -1) for leaf in leaves], -1)
+        return _cut(_reduce_moments(flat, valid, axes, self.order), [leaf.shape[2:] for leaf in leaves])
 
     def init(self, record, items=()):
         return [_PowerSums.zeros(items + leaf["mean"].shape[1 + len(items) :], self.order) for leaf in record]
@@ -57,6 +63,16 @@ class Moments:
 
 def apply(of, values):
     return values if of is None else of(values)
+
+
+def _cut(record, shapes):
+    """Return the parts of a record of numbers side by side that belong to arrays of these shapes."""
+    stops = np.cumsum([math.prod(shape) for shape in shapes])
+
+    def part(shape, stop, x):
+        return x[..., stop - math.prod(shape) : stop].reshape(*x.shape[:-1], *shape)
+
+    return [jax.tree.map(partial(part, shape, stop), record) for shape, stop in zip(shapes, stops)]
 
 
 def _reduce_moments(x, valid, axes, order):

@@ -53,6 +53,11 @@ def emitters(shining: list[Shining]) -> tuple[tuple[int, ...], Any, Any]:
     return tuple(e[0] for e in ordered), groups, _stacked([e[3] for e in ordered])
 
 
+def has_flat_lights(scene) -> bool:
+    """Return whether all lights are flat."""
+    return all(isinstance(entry[0], FlatLight) for entry in scene.emitters)
+
+
 def _stacked(trees):
     return jax.tree.map(lambda *x: np.stack(x) if is_concrete(x) else jnp.stack(x), *trees)
 
