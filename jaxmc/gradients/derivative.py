@@ -133,8 +133,8 @@ def grad_integrate(
         n: samples of the interior part.
         boundary_n: samples of the boundary part; ``n`` by default. They have a key of their own.
         mode: "forward" costs one derivative for each number in ``params``, "reverse" one for each component of the
-            value; "auto" takes forward mode up to 4 numbers. In reverse mode 1024 samples are differentiated together:
-            tallies and errors see means of so many, and ``n`` is rounded up to them.
+            value; "auto" takes forward mode up to 4 numbers. In reverse mode up to 2048 samples are differentiated
+            together: tallies and errors see means of so many, and ``n`` is rounded up to them.
         key, options: as in ``integrate``, for each of the parts. A target such as ``rtol`` is one for each part by
             itself.
 

@@ -245,7 +245,7 @@ def carried(face: Faces, point: Vec3, wi: Vec3, distance) -> Vec3:
 
 
 def turning_at(face: Faces, point: Vec3, wi: Vec3) -> Vec3:
-    """Return 0, with the derivative of the unit normal of a face at a point of it, on the side that ``wi`` comes from."""
+    """Return 0, with the derivative of a face's unit normal at a point of it, on the side that ``wi`` comes from."""
     normal = where(still(face.radius) > 0.0, point - face.center, cross(face.half_u, face.half_v))
     fixed = still(normal)
     size = _inverse(jnp.sqrt(larger(dot(fixed, fixed), 0.0)))

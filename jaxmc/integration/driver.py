@@ -9,7 +9,7 @@ from .checkpoint import keep
 from .counts import positive
 from .estimate import Estimate
 from .integrand import Integrand, as_integrand
-from .kernel import BLOCK, CHUNK, LANES, ROWS, TOGETHER, lanes_for
+from .kernel import BLOCK, CHUNK, LANES, ROWS, lanes_for, lanes_together
 from .moments import Moments
 from .parts import WHOLE, Part, part
 from .run import Run
@@ -66,7 +66,7 @@ def integrate(
     n = n if n is None else positive("n", n)
     blocks, rows, lanes = blocks_of(chunk), ROWS, LANES
     if integrand.together:
-        lanes = TOGETHER
+        lanes = lanes_together(n if indices is None else None, replicates)
     elif n is not None and replicates and n // replicates < SMALL * SMALL_LANES:
         blocks, rows, lanes = max(blocks, min(replicates, MOST_BLOCKS)), SMALL, SMALL_LANES
     run = Run(integrand, key, sampler, replicates, tallies, workers, blocks, rows, lanes=lanes, part=some)

@@ -23,7 +23,8 @@ LANES = 1920
 ROWS = 32
 VECTOR = 64  # a number of lanes that vector code divides evenly
 BLOCK = ROWS * LANES
-TOGETHER = 2048  # lanes of samples that are worked on together: powers of two divide randomised points evenly
+TOGETHER = 2048  # most lanes of samples that are worked on together
+MEANS = 256  # their means that show how they are spread
 CHUNK = 1 << 18  # samples to a kernel call: long against the cost of a call, short against a progress bar
 
 
@@ -109,6 +110,16 @@ def lanes_for(items):
     """Return how many lanes a row has in a family of integrals, so that few are left idle in the last row."""
     evenly = -(-items // -(-items // LANES))
     return -(-evenly // VECTOR) * VECTOR
+
+
+def lanes_together(n, replicates=None):
+    """Return how many samples to work on together where there are ``n`` of them, None if that is not known: a power of
+    two, which divides randomised points evenly.
+    """
+    if n is None:
+        return TOGETHER
+    wanted = n // (replicates or MEANS)
+    return min(max(1 << max(wanted, 1).bit_length() - 1, VECTOR), TOGETHER)
 
 
 def mean_of_row(integrand, point, index, word_axes):

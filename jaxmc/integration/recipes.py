@@ -22,7 +22,8 @@ def recipe(run, n, target=None) -> dict[str, Any]:
         "integrand": _fingerprint(given, static), "sampler": name_of(run.sampler),
         "seed": np.asarray(run.seed).tolist(),
         "tallies": to_plain(run.sums.tallies), "n": n, "points": points, "replicates": run.replicates,
-        "items": run.items, "rows": run.rows, "lanes": run.lanes, "target": to_plain(target and vars(target)),
+        "items": run.items, "rows": run.rows, "lanes": run.lanes,
+        "together": run.integrand.together and run.lanes, "target": to_plain(target and vars(target)),
         "indices": run.part.about.get("indices"), "chosen": _digest([run.part.chosen]),
         "float64": bool(jax.config.jax_enable_x64), "platform": jax.default_backend(), "jax": jax.__version__,
     }  # fmt: skip
