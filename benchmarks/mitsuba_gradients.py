@@ -10,7 +10,14 @@ Reads one JSON object per line from stdin and answers each with one JSON object 
 with either ``"integrator"``, the dictionary of one of Mitsuba's that differentiates, or ``"step"``, half the distance
 of a central difference with common random numbers by the integrator of the scene. The answer ``{"slope", "seconds",
 "warnings", "mitsuba"}`` has the derivative of the mean of the image, over pixels and channels, as the shape moves along
-``direction``, and what Mitsuba warned of. A line that fails is answered ``{"error": ...}``.
+``direction``, and what Mitsuba warned of. A request without a shape
+
+    {"scene": {...}, "integrator": {...}, "all": true, "spp": 64, "seed": 3}
+
+asks for the derivatives by all numbers in reverse mode: the answer ``{"gradient", "seconds", "value_seconds"}`` has them
+by the names of their parameters, those of places as derivatives by translation, and the times of the sweep, which
+renders too, and of the image alone. The scene of the last such request stays loaded if ``"scene"`` is left out. A line
+that fails is answered ``{"error": ...}``.
 """
 
 import json
@@ -58,7 +65,50 @@ class Motion:
         return float(np.array(dr.grad(image), np.float64).mean())
 
 
+class Everything:
+    """A scene of which every colour and every place is differentiated by."""
+
+    def __init__(self, mi, message):
+        self.mi = mi
+        # Unless told otherwise Mitsuba makes one material of those that are equal.
+        self.scene = mi.load_dict(with_objects(mi, message["scene"]), optimize=False)
+        self.params = mi.traverse(self.scene)
+        self.params.keep([r".*\.reflectance\.value", r".*\.radiance\.value", r"primitive_\d+\.to_world"])
+
+    def answer(self, message):
+        import drjit as dr
+
+        mi, spp, seed = self.mi, message["spp"], message["seed"]
+        integrator = mi.load_dict(message["integrator"])
+        start = time.perf_counter()
+        np.array(mi.render(self.scene, integrator=integrator, spp=spp, seed=seed))
+        alone = time.perf_counter() - start
+        start = time.perf_counter()
+        for name in self.params.keys():
+            dr.enable_grad(self.params[name])
+        self.params.update()
+        image = mi.render(self.scene, self.params, integrator=integrator, spp=spp, seed=seed)
+        dr.backward(dr.mean(image, axis=None))
+        found = {name: self._gradient(name, dr.grad(self.params[name])) for name in self.params.keys()}
+        seconds = time.perf_counter() - start
+        for name in self.params.keys():
+            dr.disable_grad(self.params[name])
+        return {"gradient": found, "seconds": seconds, "value_seconds": alone, "mitsuba": mi.__version__}
+
+    @staticmethod
+    def _gradient(name, gradient):
+        if name.endswith("to_world"):
+            return np.array(gradient.matrix, np.float64).reshape(4, 4, -1)[:3, 3, 0].tolist()
+        return np.array(gradient, np.float64).ravel().tolist()
+
+
+LOADED = []
+
+
 def answer(mi, message, warnings):
+    if message.get("all"):
+        LOADED[:] = [Everything(mi, message)] if "scene" in message else LOADED
+        return LOADED[0].answer(message)
     motion = Motion(mi, message)
     integrator = mi.load_dict(message["integrator"]) if "integrator" in message else None
     warnings.clear()
