@@ -10,7 +10,9 @@ import jax.numpy as jnp
 
 import jaxmc as mc
 from analytic_scenes.caps import caps_overlap
-from analytic_scenes.scene import AnalyticScene, value_and_derivatives, variance_and_kurtosis
+from analytic_scenes.laws import Law, law_of_values
+from analytic_scenes.lone_receiver import closed_form_scene
+from analytic_scenes.scene import AnalyticScene, variance_and_kurtosis
 from jaxmc.testing import DiskMollifier
 
 
@@ -29,21 +31,16 @@ def disk_mollifier(a: float = 1.0, h: float = 0.5) -> AnalyticScene:
     """
     if not 0 < h <= 1 or not -1 <= a < math.inf:
         raise ValueError(f"0 < h <= 1 and a finite a >= -1 are needed; got h={h}, a={a}")
-    law = DiskMollifier(a, h)
-    variance, kurtosis = variance_and_kurtosis([law.moment(q) for q in (1, 2, 3, 4)])
-    arguments = {"a": a, "h": h}
-    exact, derivatives = value_and_derivatives(_disk_mean, **arguments)
-    return AnalyticScene(
-        name=f"delta blurred over a disk, a={a:g}, h={h:g}",
-        integrand=mc.Integrand(lambda u, a, h: DiskMollifier(a, h).sample(u), 2, (float(a), float(h))),
-        exact=exact,
-        exact_variance=variance,
-        exact_kurtosis=kurtosis,
-        derivatives=derivatives,
-        source="elementary",
-        formula=_disk_mean,
-        arguments=arguments,
+    moments = [DiskMollifier(a, h).moment(q) for q in (1, 2, 3, 4)]
+    return closed_form_scene(
+        f"delta blurred over a disk, a={a:g}, h={h:g}",
+        _disk_mean,
+        {"a": a, "h": h},
+        mc.Integrand(lambda u, a, h: DiskMollifier(a, h).sample(u), 2, (float(a), float(h))),
+        "elementary",
         geometry="No scene: a quadratic function near the middle of the unit disk.",
+        law=lambda exact: Law(*variance_and_kurtosis(moments)),
+        view=None,
     )
 
 
@@ -62,20 +59,16 @@ def cone_mirror(
     if not (0 < cone <= math.pi / 2 and 0 < light <= math.pi / 2 and 0 <= offset <= math.pi / 2):
         raise ValueError(f"angles up to pi/2 are needed, two of them not 0; got {cone=}, {light=}, {offset=}")
     arguments = {"radiance": radiance, "reflectance": reflectance, "cone": cone, "light": light, "offset": offset}
-    exact, derivatives = value_and_derivatives(_cone_mean, **arguments)
     peak = radiance * reflectance
-    variance, kurtosis = variance_and_kurtosis([exact * peak ** (q - 1) for q in (1, 2, 3, 4)])
-    return AnalyticScene(
-        name=f"cone mirror of {cone:g} and a round light of {light:g}, {offset:g} apart",
-        integrand=mc.Integrand(_cone_sample, 2, tuple(map(float, arguments.values()))),
-        exact=exact,
-        exact_variance=variance,
-        exact_kurtosis=kurtosis,
-        derivatives=derivatives,
-        source="solid angles of caps: Mazonka (2012)",
-        formula=_cone_mean,
-        arguments=arguments,
+    return closed_form_scene(
+        f"cone mirror of {cone:g} and a round light of {light:g}, {offset:g} apart",
+        _cone_mean,
+        arguments,
+        mc.Integrand(_cone_sample, 2, tuple(map(float, arguments.values()))),
+        "solid angles of caps: Mazonka (2012)",
         geometry="A ray meets a mirror that reflects evenly into a cone; one round light stands in the sky.",
+        law=lambda exact: law_of_values([exact / peak], [peak]) if peak else Law(0.0, None),
+        view=None,
     )
 
 

@@ -91,8 +91,10 @@ class _Filtered:
             # A tent is near enough to all but the box, and exact for itself.
             t = 2.0 * u[k] - 1.0
             if not isinstance(self.filter, mc.BoxFilter):
-                t = jnp.sign(t) * (1.0 - jnp.sqrt(1.0 - jnp.abs(t)))
-                weight /= 1.0 - jnp.abs(t)
+                # Twice the way to the nearer end is 1 - |t| without rounding, so never 0 inside of the interval.
+                tent = jnp.sqrt(2.0 * jnp.minimum(u[k], 1.0 - u[k]))
+                t = jnp.sign(t) * (1.0 - tent)
+                weight /= tent
             else:
                 weight *= 2.0
             weight *= f.density(radius * t) * radius

@@ -8,7 +8,6 @@ variance of n independent samples over that of n points, n = 2^10, 2^12, ..., 2^
 32 randomisations; a ratio of such is known to some 25 %. Everything lands in ``benchmarks/results/convergence.json``.
 """
 
-import json
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -18,7 +17,7 @@ import analytic_scenes
 import jaxmc as mc
 from jaxmc import scenes
 from jaxmc.analysis.convergence import fit_rate
-from jaxmc.report import machine, versions
+from jaxmc.report import machine, versions, write_json
 
 RESULTS = Path(__file__).parent / "results" / "convergence.json"
 REPLICATES = 32
@@ -74,7 +73,7 @@ def main():
                 gains[m] = variance / 2**m / deviation**2
             found["variance reduction"].setdefault(name, {})[repr(sampler)] = gains
             print(f"{name:18s} {sampler!r:34s}", *(f"2^{m}: {gain:8.3g}" for m, gain in gains.items()))
-    RESULTS.write_text(json.dumps(found, indent=1) + "\n")
+    write_json(RESULTS, found)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ as one like all others. Everything lands in ``benchmarks/results/coordinates.jso
 """
 
 import argparse
-import json
 import re
 import time
 from functools import partial
@@ -22,7 +21,7 @@ import jaxmc as mc
 from jaxmc.backend import KERNEL_OPTIONS
 from jaxmc.integration.kernel import LANES
 from jaxmc.integration.samplers import Index, seed_words
-from jaxmc.report import machine, versions
+from jaxmc.report import machine, versions, write_json
 
 RESULTS = Path(__file__).parent / "results" / "coordinates.json"
 DIM = 16
@@ -81,7 +80,7 @@ def main():
     for name, one in found.items():
         one["per_second"] = count / float(np.median(one["seconds"]))
         print(f"{name:36s} {one['per_second']:9.3g} coordinates/s  {one['operations']:6.1f} operations each")
-    RESULTS.write_text(json.dumps({"samplers": found, "machine": machine(), "versions": versions()}, indent=1) + "\n")
+    write_json(RESULTS, {"samplers": found, "machine": machine(), "versions": versions()})
 
 
 if __name__ == "__main__":

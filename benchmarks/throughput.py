@@ -10,7 +10,6 @@ heuristic, a box filter, no Russian roulette. ``agreement.py`` says what the agr
 """
 
 import argparse
-import json
 import multiprocessing
 import os
 import resource
@@ -26,7 +25,7 @@ from peers import Peer
 
 import jaxmc as mc
 from jaxmc import scenes
-from jaxmc.report import machine, versions
+from jaxmc.report import machine, versions, write_json
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results" / "throughput.json"
@@ -58,8 +57,7 @@ def main():
         if peers and not options.skip_agreement:
             found["agreement"] = {scene[0]: agreement(peers[0], options.seed, *scene) for scene in COMPARED}
     found |= {"peers": [peer.about for peer in peers], "machine": machine(), "versions": versions()}
-    RESULTS.parent.mkdir(exist_ok=True)
-    RESULTS.write_text(json.dumps(found, indent=1, default=float) + "\n")
+    write_json(RESULTS, found)
     print(f"All numbers: {RESULTS.relative_to(ROOT)}")
 
 

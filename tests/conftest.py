@@ -4,11 +4,28 @@ from pathlib import Path
 
 import pytest
 
-SLOW = set(Path(__file__).with_name("slow.txt").read_text().split("\n"))
+HERE = Path(__file__).parent
+SLOW = set((HERE / "slow.txt").read_text().splitlines())
+MISSING = pytest.StashKey[set[str]]()  # listed tests that do not exist
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    for item in items:
-        if item.nodeid.removeprefix("tests/") in SLOW:
-            item.add_marker(pytest.mark.slow)
+def pytest_collection_modifyitems(config, items):
+    found = {item.nodeid.removeprefix("tests/"): item for item in items}
+    for name in SLOW & found.keys():
+        found[name].add_marker(pytest.mark.slow)
+    # A file of which single tests were asked for tells nothing of the others, nor does one that was not asked for.
+    files = {name.split("::")[0] for name in found}
+    is_whole = not config.getoption("lf") and not any("::" in argument for argument in config.args)
+    gone = {name for name in SLOW - found.keys() if name.split("::")[0] in files or not _has_file(name)}
+    config.stash[MISSING] = gone if is_whole else set()
+
+
+def _has_file(name):
+    return (HERE / name.split("::")[0]).exists()
+
+
+@pytest.fixture
+def missing_slow_tests(pytestconfig):
+    """Names in ``slow.txt`` of tests that were looked for and not found: renamed or removed."""
+    return pytestconfig.stash[MISSING]

@@ -110,3 +110,7 @@ def test_the_rule_tells_right_from_wrong(module, source, wrong):
 def test_files_are_small_and_named_for_what_they_hold(path):
     assert path.stem not in ("utils", "util", "common", "helpers", "misc")
     assert len(path.read_text().splitlines()) <= 300
+
+
+def test_slow_tests_that_are_listed_exist(missing_slow_tests):
+    assert not missing_slow_tests, "take them off tests/slow.txt, or give them their new names"

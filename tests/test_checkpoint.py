@@ -9,23 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from trees import of_a, of_b, tree
 
 import jaxmc as mc
 from jaxmc.integration import storage
 from jaxmc.integration.kernel import BLOCK
-
-
-def tree(u):
-    return {"a": u[0] / jnp.sqrt(u[1]), "b": jnp.stack([u[0], jnp.exp(u[1]), u[0] * u[1] - 7.0])}
-
-
-def of_a(values):
-    return values["a"]
-
-
-def of_b(values):
-    return values["b"]
-
 
 TALLIES = {
     "tail": mc.TailHistogram(of=of_a),

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
+from trees import of_a, of_b, tree
 
 import jaxmc as mc
 from jaxmc.analysis.clamping import clamp_curve
@@ -63,19 +64,6 @@ def same(a, b):
     """Whether two estimates are equal in all tallies, bit for bit."""
     a, b = (jax.tree.flatten((e.moments, e.tallies)) for e in (a, b))
     return a[1] == b[1] and all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a[0], b[0]))
-
-
-def tree(u):
-    """Two coordinates to a scalar with a heavy tail and an array of shape (3,)."""
-    return {"a": u[0] / jnp.sqrt(u[1]), "b": jnp.stack([u[0], jnp.exp(u[1]), u[0] * u[1] - 7.0])}
-
-
-def of_a(values):
-    return values["a"]
-
-
-def of_b(values):
-    return values["b"]
 
 
 def of_coordinate(values):

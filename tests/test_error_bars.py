@@ -27,12 +27,21 @@ EXACT = (math.e - 1.0) * 1.25
 POINTS = [mc.Sobol(), mc.Lattice(), mc.Halton(), mc.LatinHypercube(), mc.Stratified()]
 
 
-def spike(u):
-    return jnp.where(u[0] < 1e-4, 1e4, 0.0)
+# All that jumps shares one kernel, as its numbers are parameters; so do families.
 
 
-def infinite_variance(u):
-    return u[0] ** -0.75
+def _jump(u, p, value, rest):
+    return jnp.where(u[0] < p, value, rest)
+
+
+def jump(p, value, rest=0.0):
+    """Return an integrand that is ``value`` with probability p, else ``rest``."""
+    return mc.Integrand(_jump, 1, (p, value, rest))
+
+
+SPIKE = jump(1e-4, 1e4)
+INFINITE_VARIANCE = mc.Integrand(lambda u: u[0] ** -0.75, 1)
+FAMILY = mc.Integrand(lambda u, item: u[0] + item, 1)
 
 
 def coverage(estimates, exact, level=0.95, **options):
@@ -89,8 +98,7 @@ def test_numbers_of_samples_are_rounded_up_where_points_want_it():
 
 
 def test_images_have_error_bars_over_replicates():
-    f = mc.Integrand(lambda u, item: u[0] + item, 1)
-    estimate = mc.integrate_each(f, 50, n=64, sampler=mc.Sobol(), replicates=8)
+    estimate = mc.integrate_each(FAMILY, 50, n=64, sampler=mc.Sobol(), replicates=8)
     assert estimate.mean.shape == estimate.stderr.shape == (50,)
     assert np.all(np.abs(estimate.mean - np.arange(50) - 0.5) < 30 * estimate.stderr)
     # One point falls in each eighth: the variance of a mean of 8 is 1 / (12 * 8^3), and there are 8 of these.
@@ -124,7 +132,7 @@ def test_other_intervals_cover_too():
 
 
 def test_bounded_intervals_cover_what_no_normal_one_does():
-    estimates = [mc.integrate(spike, dim=1, n=2000, key=key) for key in range(200)]
+    estimates = [mc.integrate(SPIKE, n=2000, key=key) for key in range(200)]
     normal, bounded = coverage(estimates, 1.0), coverage(estimates, 1.0, bounds=(0.0, 1e4))
     assert normal < 0.5 and bounded == 1.0
     assert estimates[0].interval(bounds=(0.0, 1e4)).method == "bounded"
@@ -239,8 +247,7 @@ def test_the_correction_knows_skewness_and_kurtosis_of_the_replicates():
 
 
 def test_plain_intervals_stand_in_where_skewness_is_not_known():
-    f = mc.Integrand(lambda u, item: u[0] + item, 1)
-    pixels = mc.integrate_each(f, 5, n=64, sampler=mc.Sobol(), replicates=8)
+    pixels = mc.integrate_each(FAMILY, 50, n=64, sampler=mc.Sobol(), replicates=8)
     means = np.random.default_rng(1).random((8, 5))
     for estimate in (pixels, claims(means[:7])):
         assert estimate.interval().method == "student-t over replicates"
@@ -319,26 +326,26 @@ def test_vectors_stop_when_all_components_are_known():
 
 
 @pytest.mark.parametrize("sampler", [mc.Independent(), mc.Sobol()], ids=repr)
-@pytest.mark.parametrize("f", [infinite_variance, spike])
+@pytest.mark.parametrize("f", [INFINITE_VARIANCE, SPIKE], ids=["infinite_variance", "spike"])
 def test_heavy_tails_are_refused(f, sampler):
-    estimate = mc.integrate(f, dim=1, n=65_536, sampler=sampler)
+    estimate = mc.integrate(f, n=65_536, sampler=sampler)
     assert estimate.heavy and estimate.status == "tail too heavy"
-    assert mc.integrate(f, dim=1, rtol=1e-12, max_n=65_536, sampler=sampler).status == "tail too heavy"
+    assert mc.integrate(f, rtol=1e-12, max_n=65_536, sampler=sampler).status == "tail too heavy"
 
 
 def test_a_nonfinite_value_ends_the_run():
-    estimate = mc.integrate(lambda u: jnp.where(u[0] < 0.01, jnp.nan, 1.0), dim=1, rtol=1e-3)
+    estimate = mc.integrate(jump(0.01, math.nan, 1.0), rtol=1e-3)
     assert estimate.status == "non-finite values seen" and estimate.n == stopping.FIRST
 
 
 def test_where_nothing_varies_the_status_says_so():
-    constant = mc.integrate(lambda u: 0.0 * u[0], dim=1, rtol=1e-6)
+    constant = mc.integrate(jump(0.5, 0.0), rtol=1e-6)
     assert constant.reached and constant.n == stopping.FIRST and constant.status == "all samples equal"
-    unseen = mc.integrate(lambda u: jnp.where(u[0] < 1e-7, 1e7, 0.0), dim=1, n=1000)
+    unseen = mc.integrate(jump(1e-7, 1e7), n=1000)
     assert unseen.mean == 0.0 and unseen.status == "all samples equal"
 
 
 def test_an_interval_can_be_copied_and_stored():
-    interval = mc.integrate(lambda u: u[0], dim=1, n=100).interval(0.9)
+    interval = mc.integrate(SMOOTH, n=100).interval(0.9)
     for again in (copy.deepcopy(interval), pickle.loads(pickle.dumps(interval))):
         assert again == interval and (again.method, again.level) == (interval.method, 0.9)

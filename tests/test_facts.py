@@ -11,28 +11,43 @@ from jaxmc import scenes
 from jaxmc.integration import kernel
 from jaxmc.integration.integrand import SAMPLES
 from jaxmc.integration.samplers import Independent, Index
+from jaxmc.transport.warps import sincos_2pi
 
 
-def operations(scene, camera=None, **options):
+def drawn(word):
+    """Return a point of the sampler."""
+    return Independent().point(jnp.arange(4, dtype=jnp.uint32), Index(word, word))
+
+
+class Given:
+    """A point of which every coordinate is the same number: drawing it takes no operations."""
+
+    def __init__(self, word):
+        self.u = word * 0.5
+
+    def __getitem__(self, dimension):
+        return self.u
+
+
+def operations(scene, camera=None, point=drawn, **options):
     """Return how often each primitive operation occurs in one path of a scene, loop bodies included."""
     camera = camera or mc.PinholeCamera((0, 0, 3.9), (0, 0, 0))
-    integrand = mc.path_integrand(scene, camera, bounces=3, **options)
-
-    def value(integrand, word):
-        return integrand.at(Independent().point(jnp.arange(4, dtype=jnp.uint32), Index(word, word)))
-
-    jaxpr = jax.make_jaxpr(value)(jax.tree.map(jnp.asarray, integrand), jnp.uint32(1)).jaxpr
-    return _count(jaxpr)
+    integrand = jax.tree.map(jnp.asarray, mc.path_integrand(scene, camera, bounces=3, **options))
+    return _count(lambda integrand, word: integrand.at(point(word)), integrand, jnp.uint32(1))
 
 
-def _count(jaxpr):
+def _count(function, *arguments):
+    return _count_equations(jax.make_jaxpr(function)(*arguments).jaxpr)
+
+
+def _count_equations(jaxpr):
     count = Counter()
     for equation in jaxpr.eqns:
         count[equation.primitive.name] += 1
         for value in equation.params.values():
             inner = getattr(value, "jaxpr", value)
             if hasattr(inner, "eqns"):
-                count += _count(inner)
+                count += _count_equations(inner)
     return count
 
 
@@ -68,7 +83,8 @@ def test_what_a_scene_lacks_is_not_in_its_kernel(less, more, least):
     assert operations(more).total() - operations(less).total() >= least
 
 
-# Of paths with a camera, area lights, spheres and quads, diffuse surfaces and mirrors, before there was anything else.
+# Of paths with a camera, area lights, spheres and quads, diffuse surfaces and mirrors, before there was anything else,
+# in float32.
 FIRST_SCENES = {
     ("cornell_box", "mis"): 1212, ("cornell_box", "nee"): 1160, ("cornell_box", "none"): 1000,
     ("mirror_box", "mis"): 1385, ("mirror_box", "nee"): 1339, ("mirror_box", "none"): 1131,
@@ -78,8 +94,21 @@ FIRST_SCENES = {
 @pytest.mark.parametrize(("name", "lights"), FIRST_SCENES)
 def test_features_cost_scenes_without_them_nothing(name, lights):
     # Other versions of JAX may count an operation or two differently.
-    found = operations(*getattr(scenes, name)(), lights=lights).total()
+    with jax.enable_x64(False):
+        found = operations(*getattr(scenes, name)(), lights=lights).total()
     assert 0.9 * FIRST_SCENES[name, lights] < found <= 1.005 * FIRST_SCENES[name, lights]
+
+
+@pytest.mark.parametrize(("name", "lights"), [("cornell_box", "none"), ("mirror_box", "mis")])
+def test_float64_costs_longer_polynomials_and_nothing_else(name, lights):
+    # Coordinates, of two words there, are not counted. Each of these scenes has one diffuse direction in its loop.
+    counts = []
+    for is_double in (False, True):
+        with jax.enable_x64(is_double):
+            path = operations(*getattr(scenes, name)(), point=Given, lights=lights)
+            counts.append((path, _count(sincos_2pi, jnp.asarray(0.5))))
+    (path, turn), (path64, turn64) = counts
+    assert turn64.total() > turn.total() and path64 - path == turn64 - turn and not path - path64
 
 
 def test_rows_of_paths_that_met_nothing_take_no_steps():
@@ -88,11 +117,10 @@ def test_rows_of_paths_that_met_nothing_take_no_steps():
     integrand = jax.tree.map(jnp.asarray, mc.path_integrand(open_scene, camera, bounces=3))
 
     def value(word):
-        return integrand.at(Independent().point(jnp.arange(4, dtype=jnp.uint32), Index(word, word)))
+        return integrand.at(drawn(word))
 
     def branches(**names):
-        jaxpr = jax.make_jaxpr(jax.vmap(value, **names))(jnp.arange(16, dtype=jnp.uint32)).jaxpr
-        return _count(jaxpr)["cond"]
+        return _count(jax.vmap(value, **names), jnp.arange(16, dtype=jnp.uint32))["cond"]
 
     assert branches(axis_name=SAMPLES) == branches() + 1
     words = jnp.arange(4096, dtype=jnp.uint32)

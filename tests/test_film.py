@@ -411,6 +411,16 @@ def test_tallies_see_the_samples_themselves():
     assert np.all(wide.interval().upper >= wide.mean)
 
 
+@pytest.mark.parametrize("filter", [mc.TentFilter(), MITCHELL, mc.GaussianFilter()], ids=lambda f: type(f).__name__)
+def test_samples_at_the_border_of_a_filter_are_finite(filter):
+    ends = np.array([2.0**-33, 1e-8, 0.5, 1.0 - 2.0**-24], np.float32)  # as far as coordinates go, and close to it
+    u = np.stack(np.meshgrid(ends, ends), -1).reshape(-1, 2)
+    values = np.asarray(pixels.half_plane_pixel(filter, offset=5.0).integrand.batch(jnp.asarray(u, float)))
+    assert np.isfinite(values).all()
+    # A tent is drawn as it is: before the sky alone each of its samples is 1.
+    assert not isinstance(filter, mc.TentFilter) or np.allclose(values, 1.0, rtol=0.005)
+
+
 # ------------------------------------------------------------------------------------------ without anti-aliasing
 
 

@@ -5,7 +5,8 @@ import itertools
 import jax
 import numpy as np
 import pytest
-from test_checkpoint import PIXEL_TALLIES, PIXELS, TALLIES, N, same, tree
+from test_checkpoint import PIXEL_TALLIES, PIXELS, TALLIES, N, same
+from trees import tree
 
 import jaxmc as mc
 from jaxmc import cli

@@ -24,7 +24,7 @@ def study(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def measured(study):
+def measured():
     with Stages(1, False) as stages:
         return diffuse_ladders.measure(DARK, SETTINGS, stages, 0)
 

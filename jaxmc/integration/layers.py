@@ -22,6 +22,21 @@ from .storage import storable
 LAYERS = 16
 
 
+class _Sums:
+    """What tallies have whose records are added up as they are."""
+
+    pooled = False
+
+    def init(self, record, items=()):
+        return _zeros(record, items)
+
+    def add(self, state, record, where=...):
+        _add(state, record, where)
+
+    def merge(self, a, b):
+        return {k: a[k] + b[k] for k in a}
+
+
 @storable
 class CascadeSums(NamedTuple):
     """Samples split over layers of brightness b_i = start base^i, the last one holding what is above the top layer.
@@ -40,7 +55,7 @@ class CascadeSums(NamedTuple):
 
 @storable
 @dataclasses.dataclass(frozen=True)
-class Cascade:
+class Cascade(_Sums):
     """Samples split over layers of brightness, for each integral of a family (each pixel).
 
     A sample of brightness L between b_i and b_(i+1) counts in both, with weights linear in 1 / L, so that its light and
@@ -62,7 +77,6 @@ class Cascade:
     start: float = 1.0
     layers: int = 6
     of: Callable[[Any], Any] | None = None
-    pooled = False
 
     def __post_init__(self):
         if not (1.0 < self.base < math.inf and 0.0 < self.start < math.inf):
@@ -86,15 +100,6 @@ class Cascade:
         stays = jnp.minimum(heights[-1] * inverse, 1.0)
         between = [below - above for below, above in itertools.pairwise(share)]
         return jnp.stack([*between, jnp.minimum(share[-1], stays), 1.0 - stays])
-
-    def init(self, record, items=()):
-        return _zeros(record, items)
-
-    def add(self, state, record, where=...):
-        _add(state, record, where)
-
-    def merge(self, a, b):
-        return {k: a[k] + b[k] for k in a}
 
     def result(self, state):
         n, axis = int(np.max(state["n"])), state["n"].ndim
@@ -120,7 +125,7 @@ class LayerSums(NamedTuple):
 
 @storable
 @dataclasses.dataclass(frozen=True)
-class Layers:
+class Layers(_Sums):
     """Count and sum of the samples in bins of brightness, for each integral of a family (each pixel).
 
     A value that is not a number goes to the last bin.
@@ -132,7 +137,6 @@ class Layers:
 
     edges: tuple[float, ...] = tuple(math.expm1(j) for j in range(LAYERS))
     of: Callable[[Any], Any] | None = None
-    pooled = False
 
     def __post_init__(self):
         e = np.asarray(self.edges, float)
@@ -150,15 +154,6 @@ class Layers:
         return jnp.stack([lower & ~upper for lower, upper in itertools.pairwise(above)] + above[-1:]).astype(
             light.dtype
         )
-
-    def init(self, record, items=()):
-        return _zeros(record, items)
-
-    def add(self, state, record, where=...):
-        _add(state, record, where)
-
-    def merge(self, a, b):
-        return {k: a[k] + b[k] for k in a}
 
     def result(self, state):
         n, axis = int(np.max(state["n"])), state["n"].ndim
