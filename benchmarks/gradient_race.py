@@ -105,7 +105,11 @@ def agreement(ours, theirs):
         b = np.array([np.sum(one[name]) for one in theirs if name in one])
         if len(b) and b.any():
             error = np.hypot(a.std(ddof=1), b.std(ddof=1)) / len(a) ** 0.5
-            found[name] = {"jaxmc": a.mean(), "prb": b.mean(), "standard errors apart": abs(a.mean() - b.mean()) / error}
+            found[name] = {
+                "jaxmc": a.mean(),
+                "prb": b.mean(),
+                "standard errors apart": abs(a.mean() - b.mean()) / error,
+            }
     return found
 
 

@@ -14,8 +14,8 @@ of a central difference with common random numbers by the integrator of the scen
 
     {"scene": {...}, "integrator": {...}, "all": true, "spp": 64, "seed": 3}
 
-asks for the derivatives by all numbers in reverse mode: the answer ``{"gradient", "seconds", "value_seconds"}`` has them
-by the names of their parameters, those of places as derivatives by translation, and the times of the sweep, which
+asks for the derivatives by all numbers in reverse mode: the answer ``{"gradient", "seconds", "value_seconds"}`` has
+them by the names of their parameters, those of places as derivatives by translation, and the times of the sweep, which
 renders too, and of the image alone. The scene of the last such request stays loaded if ``"scene"`` is left out. A line
 that fails is answered ``{"error": ...}``.
 """

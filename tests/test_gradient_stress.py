@@ -1,0 +1,42 @@
+"""Derivatives in the scenes of the stability study, where rounding is worst: every one must be a number."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxmc as mc
+from jaxmc.studies import strained_scenes, stress
+from jaxmc.studies.stability import LONG
+
+CASES = {f"{c.group}: {c.name}": c.make for c in strained_scenes.all_cases() if c.group != LONG}
+# Of rooms in which everything shines take shorter paths: derivatives grow from mirror to mirror.
+CASES |= {f"furnace: {kind}": partial(strained_scenes.furnace, kind, 1.0, 12) for kind in ("sphere", "box", "mirror")}
+QUICK = "moved: quad lamp: + 1.3e+06"
+
+
+def slopes(part, n=1024):
+    """Return the derivatives at n points as all that can move does so, in a random direction; a NaN of one is one of
+    their sum.
+    """
+    rest, at_rest, values = part.params[:3]
+    rng = np.random.default_rng(0)
+    direction = jax.tree.map(lambda x: jnp.asarray(rng.standard_normal(np.shape(x)), float), values)
+    values = jax.tree.map(lambda x: jnp.asarray(x, float), values)
+
+    def slope(u):
+        return jax.jvp(lambda v: jnp.sum(part.fn(u, rest, at_rest, v)), (values,), (direction,))[1]
+
+    return np.asarray(jax.jit(jax.vmap(slope))(stress.common_points(n, part.dim)))
+
+
+@pytest.mark.parametrize("name", [n if n == QUICK else pytest.param(n, marks=pytest.mark.slow) for n in CASES])
+def test_derivatives_are_numbers(name, monkeypatch):
+    for function in ("irradiance", "radiance"):
+        monkeypatch.setattr(strained_scenes, function, getattr(mc, f"moving_{function}"))
+    made = CASES[name]()
+    found = [slopes(part) for part in (made.interior, made.boundary) if part is not None]
+    assert all(np.isfinite(part).all() for part in found)
+    assert any(np.any(part) for part in found)
