@@ -120,15 +120,15 @@ class Keeper:
         run.sums, run.seconds_before = found, found.seconds
         run.used = found.first + (run.replicates or 0)
 
-    def after_job(self):
-        """Write, if it is time to. Raises ``KeyboardInterrupt`` if Ctrl-C was pressed, when all is written."""
+    def after_job(self, due=False):
+        """Write, if it is ``due`` or time to. If Ctrl-C was pressed, write and raise ``KeyboardInterrupt``."""
         if self.interrupted:
             self.write()
             done = f"{self.run.sums.drawn:,} samples are done and kept in {self.path}"
-            with contextlib.suppress(ValueError):
+            with contextlib.suppress(ValueError):  # no estimate yet
                 done += f": {self.run.sums.estimate()}"
             raise KeyboardInterrupt(done)
-        if time.monotonic() >= self.due:
+        if due or time.monotonic() >= self.due:
             self.write()
 
     def finish(self, estimate) -> Estimate:

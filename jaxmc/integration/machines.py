@@ -1,8 +1,9 @@
 """Several processes, on one machine or many, that make each estimate together.
 
-All of them run the same program. Of the kernel calls of an estimate each makes every k-th, and sends the records to the
-others, by way of the key-value store of ``jax.distributed``. All add up the records of all calls in the same order, so
-each process has the same estimate, bit for bit that of a single one.
+All of them run the same program, and talk by way of the key-value store of ``jax.distributed``. The integrals of a
+family, such as the pixels of an image, are dealt to them, see ``dealing``. Of the kernel calls of a single integral
+each makes every k-th, and sends the records to the others; all add them up in the same order. So each process has the
+same estimate, bit for bit that of a single one.
 """
 
 import threading
@@ -15,6 +16,7 @@ import numpy as np
 from .. import backend
 
 BEAT, SILENCE = 2.0, 20.0  # seconds between signs of life; without one a process is lost
+PIECE = 1 << 22  # bytes that are sent at once
 PATIENCE = 3600.0  # seconds that processes wait for each other where there is nothing to tell that one is lost
 
 
@@ -27,7 +29,8 @@ class Team:
 
     def __init__(self, client, rank, size, workers):
         self.client, self.rank, self.size = client, rank, size
-        self.calls, self.meetings, self.sent = 0, 0, deque()
+        self.calls, self.meetings, self.sent, self.looked = 0, 0, deque(), time.monotonic()
+        self.exchanges, self.words, self.heard = 0, 0, 0
         self.seen: dict[int, tuple[str, float]] = {}
         client.key_value_set(f"jaxmc/workers/{rank}", str(workers))
         threading.Thread(target=self._beat, daemon=True).start()
@@ -59,7 +62,7 @@ class Team:
     def _check(self, owner):
         """Raise ``LostProcess`` if a process has given no sign of life for too long."""
         try:
-            beat = self._get(f"jaxmc/alive/{owner}", 1)
+            beat = self._get(f"jaxmc/alive/{owner}", int(1000 * BEAT))
         except jax.errors.JaxRuntimeError:
             beat = "none"
         last, since = self.seen.get(owner, ("", 0.0))
@@ -70,6 +73,44 @@ class Team:
                 f"process {owner} of {self.size} has given no sign of life for {SILENCE:g} s: it was killed, or cannot "
                 "be reached. Start all again; what is in a checkpoint is not made again"
             )
+
+    def look(self):
+        """Raise ``LostProcess`` if another process is lost; looks once in a while, however often it is called."""
+        if time.monotonic() - self.looked > BEAT:
+            self.looked = time.monotonic()
+            for owner in range(self.size):
+                self._check(owner)
+
+    def say(self, word):
+        """Let all processes ``hear`` a word of this one, the first of them."""
+        self.words += 1
+        self.client.key_value_set(f"jaxmc/words/{self.words}", word)
+
+    def hear(self):
+        """Return the next word of the first process."""
+        self.heard += 1
+        return self._wait(lambda ms: self._get(f"jaxmc/words/{self.heard}", ms), 0)
+
+    def exchange(self, content: bytes, everyone: bool) -> list[bytes]:
+        """Return what all processes pass here, by their ranks; unless ``everyone`` asks, none but the first gets it."""
+        self.exchanges += 1
+        key, found = f"jaxmc/exchanged/{self.exchanges}", []
+        for start in range(0, len(content), PIECE):
+            self.client.key_value_set_bytes(f"{key}/{self.rank}/{start}", content[start : start + PIECE])
+        self.client.key_value_set(f"{key}/{self.rank}/size", str(len(content)))
+        if everyone or self.rank == 0:
+            found = [content if owner == self.rank else self._pieces(key, owner) for owner in range(self.size)]
+        self.meet()
+        self.client.key_value_delete(f"{key}/{self.rank}/")
+        return found
+
+    def _pieces(self, key, owner):
+        size = int(self._wait(lambda ms: self._get(f"{key}/{owner}/size", ms), owner))
+        get = self.client.blocking_key_value_get_bytes
+        return b"".join(
+            self._wait(lambda ms, start=start: get(f"{key}/{owner}/{start}", ms), owner)
+            for start in range(0, size, PIECE)
+        )
 
     def meet(self):
         """Wait until all processes are here."""

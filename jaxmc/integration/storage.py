@@ -8,6 +8,7 @@ all of it, and is compared before anything is made of the content.
 import contextlib
 import dataclasses
 import hashlib
+import io
 import json
 import math
 import os
@@ -47,15 +48,12 @@ def save(path, value) -> None:
         ValueError: something that no file can hold.
         OSError: the file cannot be written.
     """
-    path, arrays = Path(path), []
-    head = {"format": FORMAT, "version": VERSION, "content": to_plain(value, arrays)}
-    text = np.frombuffer(json.dumps(head).encode(), np.uint8)
+    path = Path(path)
     # Always by the same name: what a kill leaves behind is written over by the next.
     unfinished = path.with_name(f".{path.name}.unfinished")
     try:
         with unfinished.open("wb") as file:
-            members = {f"a{i}": x for i, x in enumerate(arrays)}
-            np.savez(file, head=text, checksum=_checksum(text, arrays), **members)
+            _write(file, value)
             file.flush()
             os.fsync(file.fileno())
         unfinished.replace(path)
@@ -63,6 +61,31 @@ def save(path, value) -> None:
         unfinished.unlink(missing_ok=True)
         raise
     _sync_folder(path.parent)
+
+
+def _write(file, value):
+    arrays = []
+    head = {"format": FORMAT, "version": VERSION, "content": to_plain(value, arrays)}
+    text = np.frombuffer(json.dumps(head).encode(), np.uint8)
+    np.savez(file, head=text, checksum=_checksum(text, arrays), **{f"a{i}": x for i, x in enumerate(arrays)})
+
+
+def to_bytes(value) -> bytes:
+    """Return the content of the file that ``save`` would write; ``from_bytes`` reads it."""
+    file = io.BytesIO()
+    _write(file, value)
+    return file.getvalue()
+
+
+def from_bytes(content: bytes) -> Any:
+    """Return the object that ``to_bytes`` was given."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        return _content(archive, len(content))
+
+
+def is_storable(value) -> bool:
+    """Return whether an object's class was made ``storable``, so that what it makes can be part of files."""
+    return _classes.get(type(value).__name__) is type(value)
 
 
 def load(path) -> Any:
@@ -155,7 +178,7 @@ def to_plain(value, arrays=None):
             if not all(isinstance(key, str) for key in x):
                 raise ValueError(f"a dictionary in a file has words as keys, got {list(x)}")
             return {"dict": {key: plain(one) for key, one in x.items()}}
-        if type(x).__name__ in _classes and _classes[type(x).__name__] is type(x):
+        if is_storable(x):
             return {"class": type(x).__name__, "fields": {name: plain(one) for name, one in _fields(x).items()}}
         if isinstance(x, tuple):
             return {"tuple": [plain(one) for one in x]}

@@ -38,7 +38,8 @@ class Sums:
         self.recipe: Any = None
         self.states: dict[str, Any] = {}
         self.structure, self.first, self.points, self.drawn, self.ranges = None, 0, 0, 0, []
-        self.pending, self.looks, self.goal = None, [], None
+        self.looks, self.goal = [], None
+        self.pending: Any = None
         self.seconds, self.finished, self.result = 0.0, False, None
 
     @property
@@ -49,6 +50,15 @@ class Sums:
     def forget(self):
         """Drop all samples."""
         self.states, self.drawn, self.ranges = {}, 0, []
+
+    def has_added(self, blocks):
+        """Say that so many more blocks of the pending samples are in the states."""
+        ranges, done = self.pending
+        self.pending = ranges, done + blocks
+
+    def end_pending(self):
+        """Say that all of the pending samples are in the states."""
+        self.ranges, self.pending = self.ranges + list(self.pending[0]), None
 
     def begin(self, records, example):
         """Make empty states for records of this structure, unless there are some."""

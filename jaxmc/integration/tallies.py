@@ -5,7 +5,8 @@ host in float64 (``init``, ``add``, ``merge``, ``result``, in NumPy). Records ar
 integer arithmetic, so a result does not depend on how the work was cut.
 
 A block has two sample axes, rows and lanes. One integral sums over both; a family of integrals (an image, with one
-integral for each pixel) sums over rows and keeps the lanes, see ``axes``.
+integral for each pixel) sums over rows and keeps the lanes, see ``axes``. A tally that is ``pooled`` keeps one state
+for all integrals of a family; it is ``exact`` where merged states have the same bits however samples were divided.
 """
 
 import dataclasses
@@ -57,7 +58,7 @@ class TailHistogram:
     """
 
     of: Callable[[Any], Any] | None = None
-    pooled = True
+    pooled = exact = True
 
     def reduce(self, values, valid, axes):
         c = _scalar(self, values).astype(jnp.float32)
@@ -134,7 +135,7 @@ class TopSamples:
 
     k: int = 4096
     of: Callable[[Any], Any] | None = None
-    pooled = True
+    pooled = exact = True
 
     def __post_init__(self):
         if not is_count(self.k):
