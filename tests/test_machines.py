@@ -19,7 +19,7 @@ from jaxmc.integration import machines
 from jaxmc.integration.dealing import _taken, places_of
 from jaxmc.integration.kernel import BLOCK, LANES, lanes_for
 from jaxmc.integration.merging import join_items
-from jaxmc.integration.storage import from_bytes, to_bytes
+from jaxmc.integration.storage import from_bytes, to_bytes, to_plain
 from jaxmc.scenes import mirror_box
 
 CODE = """
@@ -106,20 +106,21 @@ def test_all_integrals_are_dealt():
 @pytest.mark.parametrize("sampler", [mc.Independent(), mc.Sobol()], ids=str)
 def test_states_that_are_dealt_and_put_together_are_as_before(sampler):
     kinds = {name: tally for name, tally in PIXEL_TALLIES.items() if not tally.pooled}
-    made = mc.integrate_each(PIXELS, 300, n=40, tallies=kinds, sampler=sampler, indices=range(40), chunk=BLOCK).sums
+    made = mc.integrate_each(PIXELS, 300, n=64, tallies=kinds, sampler=sampler, indices=range(64), chunk=BLOCK).sums
     places = [places_of(rank, 3, 300) for rank in range(3)]
     parts = [{name: _taken(x, own, rank == 0) for name, x in made.states.items()} for rank, own in enumerate(places)]
     back = join_items(made.tallies, parts, np.argsort(np.concatenate(places)))
-    assert from_bytes(to_bytes(back)).keys() == made.states.keys()
-    assert to_bytes(back) == to_bytes(made.states)
+    got, want = [], []
+    assert to_plain(from_bytes(to_bytes(back)), got) == to_plain(made.states, want)
+    assert all(np.array_equal(a, b) for a, b in zip(got, want, strict=True)) and len(got) > 10
 
 
 @pytest.mark.slow
 def test_processes_go_on_with_what_one_began_and_one_with_what_they_began(tmp_path):
     path, whole = tmp_path / "run.npz", kept(tmp_path / "whole.npz", 10**6)
-    # Three blocks of the kernel are a step: stop within one.
+    # Three blocks of the kernel are a step: stop within one. Then two blocks end it, and each process has two in a step.
     assert kept(path, 5) == "stopped"
-    assert together(2, f"[test_machines.kept({str(path)!r}, 4)]") == ["stopped"]
+    assert together(2, f"[test_machines.kept({str(path)!r}, 7)]") == ["stopped"]
     before = mc.Estimate.load(path)
     assert before.n == 128 and kept(path, 5) == "stopped" and mc.Estimate.load(path).n > 128
     assert together(3, f"[test_machines.kept({str(path)!r}, 10**6)]") == [whole]

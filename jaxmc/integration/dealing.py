@@ -1,8 +1,8 @@
 """Families of integrals, such as the pixels of an image, that several processes make: each has integrals of its own.
 
-The integrals are cut into stripes, which are dealt to the processes in turn. Each adds up the samples of its own ones in
-the order of a single process, so sums have the same bits. They are exchanged once at the end, and sent to process 0 where
-it is time for a checkpoint.
+The integrals are cut into stripes, which are dealt to the processes in turn. Each adds up the samples of its stripes
+in the order of a single process, so sums have the same bits. They are exchanged once at the end, and sent to process 0
+for a checkpoint.
 """
 
 import copy
@@ -13,20 +13,17 @@ import time
 
 import numpy as np
 
-from .kernel import LANES, ROWS, VECTOR, lanes_for, remaining
+from .kernel import LANES, ROWS, VECTOR, remaining
 from .merging import join_items
 from .moments import Replicates, _PowerSums
-from .parts import Part
-from .storage import from_bytes, is_storable, to_bytes
-from .sums import Sums
+from .storage import from_bytes, to_bytes
 
 ROUND = 5.0  # seconds of work between two looks whether it is time for a checkpoint
 
 
 def can_deal(run, team) -> bool:
     """Return whether the processes can each have integrals of their own, and end with the bits of a single process."""
-    exact = (is_storable(t) and (not t.pooled or getattr(t, "exact", False)) for t in run.sums.tallies.values())
-    return bool(run.items) and run.sums.items >= team.size * VECTOR and all(exact)
+    return bool(run.items) and run.sums.items >= team.size * VECTOR and run.sums.divisible
 
 
 def places_of(rank, size, count) -> np.ndarray:
@@ -85,14 +82,7 @@ class Hand:
         count = run.sums.items
         self.places = [places_of(rank, team.size, count) for rank in range(team.size)]
         own = self.places[team.rank]
-        numbers = own if run.part.chosen is None else run.part.chosen[own]
-        self.run = copy.copy(run)
-        self.run.part, self.run.keeper, self.run.lanes = Part(chosen=numbers), None, lanes_for(len(own))
-        self.run.blocks = min(run.blocks, -(-len(own) // self.run.lanes))
-        whole = self.whole
-        self.run.sums = Sums(whole.tallies, len(own), whole.replicates, numbers)
-        self.run.sums.first, self.run.sums.points = whole.first, whole.points
-        self.bar = Share(bar, team, count / len(own))
+        self.run, self.bar = run.some(own), Share(bar, team, count / len(own))
         self._take()
 
     def _take(self):

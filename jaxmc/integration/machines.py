@@ -31,7 +31,7 @@ class Team:
         self.client, self.rank, self.size = client, rank, size
         self.calls, self.meetings, self.sent, self.looked = 0, 0, deque(), time.monotonic()
         self.exchanges, self.words, self.heard = 0, 0, 0
-        self.seen: dict[int, tuple[str, float]] = {}
+        self.seen: dict[int, tuple[str, float, float]] = {}
         client.key_value_set(f"jaxmc/workers/{rank}", str(workers))
         threading.Thread(target=self._beat, daemon=True).start()
         self.workers = max(int(self._wait(lambda ms, k=k: self._get(f"jaxmc/workers/{k}", ms), k)) for k in range(size))
@@ -65,10 +65,13 @@ class Team:
             beat = self._get(f"jaxmc/alive/{owner}", int(1000 * BEAT))
         except jax.errors.JaxRuntimeError:
             beat = "none"
-        last, since = self.seen.get(owner, ("", 0.0))
-        if beat != last:
-            self.seen[owner] = beat, time.monotonic()
-        elif time.monotonic() - since > SILENCE:
+        now = time.monotonic()
+        last, since, looked = self.seen.get(owner, ("", 0.0, 0.0))
+        # A new sign of life counts, and so does a pause of this process, for the others may have paused with it.
+        if beat != last or now - looked > SILENCE / 2:
+            since = now
+        self.seen[owner] = beat, since, now
+        if now - since > SILENCE:
             raise LostProcess(
                 f"process {owner} of {self.size} has given no sign of life for {SILENCE:g} s: it was killed, or cannot "
                 "be reached. Start all again; what is in a checkpoint is not made again"

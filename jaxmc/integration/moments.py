@@ -59,6 +59,15 @@ def apply(of, values):
     return values if of is None else of(values)
 
 
+def per_sample(sums, n):
+    """Return sums divided by the number of samples of each integral, whose axes come first; NaN where there are none.
+
+    In an unfinished run some integrals may have fewer samples than others.
+    """
+    with np.errstate(all="ignore"):
+        return sums / n.reshape(n.shape + (1,) * (sums.ndim - n.ndim))
+
+
 def _reduce_moments(x, valid, axes, order):
     # Count in at least float32: a bool, a small integer or a half cannot hold the number of samples.
     x = x.astype(jnp.promote_types(x.dtype, jnp.float32))

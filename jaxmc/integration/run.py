@@ -1,5 +1,6 @@
 """A run: calls the kernel for the samples of an estimate, on all cores, and adds up records in the order of blocks."""
 
+import copy
 import itertools
 import time
 from collections.abc import Iterator
@@ -9,10 +10,11 @@ import numpy as np
 
 from .. import backend
 from . import machines
+from .bands import add_in_bands, pays
 from .counts import positive
 from .dealing import add_dealt, can_deal
 from .estimate import Estimate
-from .kernel import LANES, ROWS, evaluate, item_jobs, stream_jobs
+from .kernel import LANES, ROWS, evaluate, item_jobs, lanes_for, stream_jobs
 from .moments import Moments
 from .parts import WHOLE, Part
 from .samplers import index_words, seed_words
@@ -98,8 +100,13 @@ class Run:
 
     def family(self, n, bar) -> Estimate:
         """Return the estimate of a family of integrals from ``n`` samples each."""
-        *_, estimate = self.passes(n, bar, lambda ranges: [ranges])
-        return estimate
+        points = self.points(n)
+        ranges = self._ranges(points)
+        if pays(self):
+            add_in_bands(self, ranges, points, bar)
+        else:
+            self._add(ranges, points, bar)
+        return self.estimate()
 
     def passes(self, n, bar, cut) -> Iterator[Estimate]:
         """Yield an estimate of a family after each list of ranges that ``cut`` makes of those of all its samples."""
@@ -107,6 +114,13 @@ class Run:
         for some in cut(self._ranges(points)):
             self._add(some, points, bar)
             yield self.estimate()
+
+    def some(self, places) -> "Run":
+        """Return a run of some integrals of the family, by their places among them, without samples."""
+        some, chosen = copy.copy(self), places if self.part.chosen is None else self.part.chosen[places]
+        some.part, some.keeper, some.lanes = Part(chosen=chosen), None, lanes_for(len(places))
+        some.blocks, some.sums = min(self.blocks, -(-len(places) // some.lanes)), self.sums.some(chosen)
+        return some
 
     def extend(self, integrand, start, stop, bar) -> Estimate:
         """Add independent samples ``start <= s < stop`` of an integrand that may have other values of its params."""

@@ -19,7 +19,7 @@ import numpy as np
 from jax import lax
 
 from .counts import is_count
-from .moments import apply, block_sum
+from .moments import apply, block_sum, per_sample
 from .storage import storable
 
 BINS_PER_OCTAVE = 8
@@ -187,7 +187,7 @@ def _scalar(tally, values):
 @storable
 class ClampSums(NamedTuple):
     """Means over the samples at each threshold t, shape ``(thresholds, items...)``: of min(c, t) and (c - t)+ and of
-    their squares."""
+    their squares. ``n`` is the number of samples of each integral; of an unfinished run, the largest one."""
 
     thresholds: np.ndarray
     n: int
@@ -236,6 +236,5 @@ class ClampLadder:
         return {k: a[k] + b[k] for k in a}
 
     def result(self, state):
-        n = int(np.max(state["n"]))
-        means = np.moveaxis(state["sums"] / n, (-2, -1), (1, 0))
-        return ClampSums(np.array(self.thresholds), n, *means)
+        means = np.moveaxis(per_sample(state["sums"], np.asarray(state["n"])), (-2, -1), (1, 0))
+        return ClampSums(np.array(self.thresholds), int(np.max(state["n"])), *means)
