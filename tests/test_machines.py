@@ -118,7 +118,7 @@ def test_states_that_are_dealt_and_put_together_are_as_before(sampler):
 @pytest.mark.slow
 def test_processes_go_on_with_what_one_began_and_one_with_what_they_began(tmp_path):
     path, whole = tmp_path / "run.npz", kept(tmp_path / "whole.npz", 10**6)
-    # Three blocks of the kernel are a step: stop within one. Then two blocks end it, and each process has two in a step.
+    # Three blocks of the kernel are a step: stop within one. Two blocks end it; then each process has two in a step.
     assert kept(path, 5) == "stopped"
     assert together(2, f"[test_machines.kept({str(path)!r}, 7)]") == ["stopped"]
     before = mc.Estimate.load(path)

@@ -10,6 +10,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from . import machines, storage
+from .counts import MOST
 from .estimate import Estimate
 from .recipes import difference, recipe
 from .sums import Sums
@@ -105,18 +106,25 @@ class Keeper:
         """Return the sums in the file. Raises ``ValueError`` where it holds none, or those of another recipe."""
         found = storage.load(self.path)
         cure = "name another file, or remove this one"
-        if not isinstance(found, Sums) or found.recipe is None or not (found.finished or found.pending):
-            raise ValueError(f"{self.path} holds no checkpoint; {cure}")
         self.recipe = recipe(self.run, self.n, self.target)
-        if other := difference(found.recipe, self.recipe):
-            raise ValueError(f"{self.path} is of another run: it has {other}; {cure}")
+        try:
+            if not isinstance(found, Sums) or found.recipe is None or not (found.finished or found.pending):
+                raise ValueError(f"holds no checkpoint; {cure}")
+            if other := difference(found.recipe, self.recipe):
+                raise ValueError(f"is of another run: it has {other}; {cure}")
+            # Tallies of the caller have their functions, those of a file do not.
+            sums = self.run.sums
+            found.tallies, found.about, found.view = sums.tallies, sums.about, sums.view
+            most = MOST if self.n is None else self.run.points(self.n) * (self.run.replicates or 1)
+            found.check(self.run.empty_sums(self.n), most)
+        except Exception as error:  # a file that was written by another hand may hold anything
+            why = error if isinstance(error, ValueError) else f"holds no checkpoint, but {error!r}; {cure}"
+            raise ValueError(f"{self.path} {why}") from error
         return found
 
     def take_up(self, found: Sums):
         """Let the run go on from sums that were found."""
         run = self.run
-        # Tallies of the caller have their functions, those of a file do not.
-        found.tallies, found.about, found.view = run.sums.tallies, run.sums.about, run.sums.view
         run.sums, run.seconds_before = found, found.seconds
         run.used = found.first + (run.replicates or 0)
 

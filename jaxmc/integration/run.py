@@ -27,7 +27,8 @@ def _as_array(x):
     return x if isinstance(x, jax.Array) else np.asarray(x)
 
 
-def _check_tallies(tallies):
+def check_tallies(tallies):
+    """Raise ``ValueError`` unless these are tallies by name, or None."""
     if tallies is not None and not (
         isinstance(tallies, dict) and all(isinstance(name, str) and hasattr(t, "reduce") for name, t in tallies.items())
     ):
@@ -52,7 +53,7 @@ class Run:
         lanes=LANES, part: Part = WHOLE, view=None,
     ):  # fmt: skip
         backend.check_arithmetic()
-        _check_tallies(tallies)
+        check_tallies(tallies)
         if "moments" in (tallies or {}):
             raise ValueError('the name "moments" is taken by the estimate itself; give your tally another name')
         self.started, self.seconds_before = time.perf_counter(), 0.0
@@ -183,10 +184,17 @@ class Run:
             call, job = self._kernel(), next(self.jobs([(0, 0, 1)], 0))
             self.sums.begin(*call(job._replace(rows=np.zeros_like(job.rows))))
 
-    def _kernel(self):
+    def empty_sums(self, n) -> Sums:
+        """Return the sums of a run for ``n`` samples, or a target, before the first of them; nothing is compiled."""
+        sums = Sums(self.sums.tallies, self.sums.items, self.sums.replicates, self.part.chosen)
+        shapes = self._kernel(self.points(n or 1))(next(self.jobs([(0, 0, 1)], 0)), evaluate.eval_shape)
+        sums.begin(*jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), shapes))
+        return sums
+
+    def _kernel(self, points=None):
         """Return a function of a job that returns its records and an example of a value, by ``evaluate`` as it is or by
         what else knows its arguments."""
-        given, static = self.kernel_arguments(self.sums.points)
+        given, static = self.kernel_arguments(points or self.sums.points)
         given = _on_device(given)
         static = {**static, "mesh": self.mesh}
         return lambda job, run=evaluate: run(*given, index_words(job.base), job.offset, job.rows, **static)

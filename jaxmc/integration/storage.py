@@ -187,6 +187,27 @@ def to_plain(value, arrays=None):
     return plain(value)
 
 
+def fits(value, like) -> bool:
+    """Return whether an object has the types and shapes inside of another one; arrays may have another length, and
+    whole numbers may be there for None."""
+    arrays, others = [], []
+    plain, model = to_plain(value, arrays), to_plain(like, others)
+
+    def same(a, b):
+        if isinstance(b, dict) and "float" not in b:
+            return isinstance(a, dict) and a.keys() == b.keys() and all(same(a[key], b[key]) for key in b)
+        if isinstance(b, list):
+            return isinstance(a, list) and len(a) == len(b) and all(map(same, a, b))
+        if isinstance(b, dict):
+            return isinstance(a, dict) and "float" in a
+        return (b is None and isinstance(a, int)) or (type(a) is type(b) and (isinstance(b, int) or a == b))
+
+    return same(plain, model) and all(
+        x.dtype == y.dtype and x.ndim == y.ndim and x.shape[1:] == y.shape[1:]
+        for x, y in zip(arrays, others, strict=True)
+    )
+
+
 def name_of(x) -> str:
     """Return what an object prints as, without its place in memory."""
     return re.sub(r" at 0x[0-9a-f]+", "", repr(x))

@@ -7,9 +7,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from .counts import is_count
 from .estimate import Estimate
 from .moments import MomentsResult, Replicates, pool
-from .storage import NotStored, is_storable, storable
+from .storage import NotStored, fits, is_storable, storable
 
 
 @storable
@@ -60,6 +61,25 @@ class Sums:
         some = Sums(self.tallies, len(chosen), self.replicates, chosen)
         some.first, some.points = self.first, self.points
         return some
+
+    def check(self, empty, most):
+        """Raise an exception of some kind if this is not what an ``empty`` one, without samples, could have become when
+        it got so many samples of each integral at ``most``."""
+        ranges, done = self.pending or ([], 0)
+        ranges = [*ranges, *self.ranges]
+        whole = all(is_count(x, least=0) for x in [done, self.drawn, self.first, self.points, *sum(ranges, ())])
+        if not whole or sum(stop - start for _, start, stop in ranges) > most or any(b < a for _, a, b in ranges):
+            raise ValueError("counts samples in another way")
+        result = self.result is None or (self.finished and isinstance(self.result, Estimate))
+        if not (result and isinstance(self.seconds, float) and isinstance(self.looks, list)):
+            raise ValueError("has no times, or another result")
+        if not self.finished and self.states and not fits(self.states, empty.states):
+            raise ValueError("holds other sums than it says")
+        if (self.items, self.replicates) != (empty.items, empty.replicates):
+            raise ValueError("holds other integrals than it says")
+        self.structure = empty.structure
+        if self.finished:
+            self.estimate()
 
     def forget(self):
         """Drop all samples."""
