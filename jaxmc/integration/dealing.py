@@ -13,7 +13,8 @@ import time
 
 import numpy as np
 
-from .kernel import LANES, ROWS, VECTOR, remaining
+from .. import backend
+from .kernel import ROWS, VECTOR, remaining
 from .merging import join_items
 from .moments import Replicates, _PowerSums
 from .storage import from_bytes, to_bytes
@@ -28,7 +29,7 @@ def can_deal(run, team) -> bool:
 
 def places_of(rank, size, count) -> np.ndarray:
     """Return which of ``count`` integrals process ``rank`` of ``size`` has: stripes no wider than a row of a block."""
-    stripes = size * math.ceil(count / (size * LANES))
+    stripes = size * math.ceil(count / (size * backend.widths().lanes))
     edges = np.arange(stripes + 1) * count // stripes
     return np.flatnonzero(np.repeat(np.arange(stripes) % size, np.diff(edges)) == rank)
 

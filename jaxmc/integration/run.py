@@ -14,7 +14,7 @@ from .bands import add_in_bands, pays
 from .counts import positive
 from .dealing import add_dealt, can_deal
 from .estimate import Estimate
-from .kernel import LANES, ROWS, evaluate, item_jobs, lanes_for, stream_jobs
+from .kernel import ROWS, evaluate, item_jobs, lanes_for, stream_jobs
 from .moments import Moments
 from .parts import WHOLE, Part
 from .samplers import index_words, seed_words
@@ -50,7 +50,7 @@ class Run:
 
     def __init__(
         self, integrand, key, sampler, replicates, tallies, workers, blocks, rows=ROWS, kept=Moments(), items=None,
-        lanes=LANES, part: Part = WHOLE, view=None,
+        lanes=None, part: Part = WHOLE, view=None,
     ):  # fmt: skip
         backend.check_arithmetic()
         check_tallies(tallies)
@@ -64,7 +64,8 @@ class Run:
         # Every device gets as many blocks; the last ones may be empty.
         self.workers = backend.workers() if workers is None else positive("workers", workers)
         self.blocks, self.rows = -(-blocks // devices) * devices, rows
-        self.items, self.lanes, self.part, self.keeper = items, lanes, part, None
+        self.items, self.lanes = items, lanes or backend.widths().lanes
+        self.part, self.keeper = part, None
         about = {"key": key, "sampler": repr(sampler), **part.about}
         count = items if part.chosen is None else len(part.chosen)
         self.sums = Sums({"moments": kept, **(tallies or {})}, count, replicates, part.chosen, view, about)

@@ -70,11 +70,12 @@ class TailHistogram:
         rho = rest.astype(jnp.float32) * 2.0**-BIN_BITS
         square = jnp.minimum(jnp.round(rho * rho * 2.0**BIN_BITS), 2.0**BIN_BITS - 1).astype(jnp.uint32)
         rows, lanes = c.shape
-        cell_rows = CELL // lanes
-        cell = jnp.arange(rows)[:, None] // cell_rows
+        # A cell is a few rows, or a piece of a row that is wider than a cell.
+        cell_rows, pieces = max(1, CELL // lanes), -(-lanes // CELL)
+        cell = jnp.arange(rows)[:, None] // cell_rows * pieces + jnp.arange(lanes) // CELL
         # Send what is not kept to a spare bin behind the last one.
         bin_index = jnp.where(keep, (bits >> BIN_BITS) & 0x7FF, BINS).astype(jnp.int32) + cell * (BINS + 1)
-        cells = -(-rows // cell_rows)
+        cells = -(-rows // cell_rows) * pieces
 
         def add_up(x):
             sums = jax.ops.segment_sum(x.ravel(), bin_index.ravel(), cells * (BINS + 1))
