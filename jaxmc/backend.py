@@ -30,8 +30,10 @@ KERNEL_OPTIONS = {
 
 
 class Widths(NamedTuple):
-    """How samples are cut: so many ``lanes`` side by side in a row, and ``chunk`` samples to a kernel call, long against
-    the cost of a call and short against a progress bar."""
+    """How samples are cut: so many ``lanes`` side by side in a row, and ``chunk`` samples to a kernel call.
+
+    A call is long against its own cost, and short against a progress bar.
+    """
 
     lanes: int
     chunk: int

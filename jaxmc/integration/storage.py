@@ -188,8 +188,10 @@ def to_plain(value, arrays=None):
 
 
 def fits(value, like) -> bool:
-    """Return whether an object has the types and shapes inside of another one; arrays may have another length, and
-    whole numbers may be there for None."""
+    """Return whether an object has the types and shapes of another one inside.
+
+    Where that has an empty list of numbers there may be a longer one, and where it has None there may be a whole number.
+    """
     arrays, others = [], []
     plain, model = to_plain(value, arrays), to_plain(like, others)
 
@@ -203,7 +205,7 @@ def fits(value, like) -> bool:
         return (b is None and isinstance(a, int)) or (type(a) is type(b) and (isinstance(b, int) or a == b))
 
     return same(plain, model) and all(
-        x.dtype == y.dtype and x.ndim == y.ndim and x.shape[1:] == y.shape[1:]
+        x.dtype == y.dtype and (x.shape == y.shape or (x.ndim == 1 and y.shape == (0,)))
         for x, y in zip(arrays, others, strict=True)
     )
 

@@ -78,7 +78,7 @@ class Sums:
         if (self.items, self.replicates) != (empty.items, empty.replicates):
             raise ValueError("holds other integrals than it says")
         self.structure = empty.structure
-        if self.finished:
+        if self.finished or (self.states and not self.replicates):
             self.estimate()
 
     def forget(self):
