@@ -190,7 +190,7 @@ def to_plain(value, arrays=None):
 def fits(value, like) -> bool:
     """Return whether an object has the types and shapes of another one inside.
 
-    Where that has an empty list of numbers there may be a longer one, and where it has None there may be a whole number.
+    Where that has an empty list of numbers there may be a longer one, and where it has None, a whole number.
     """
     arrays, others = [], []
     plain, model = to_plain(value, arrays), to_plain(like, others)
