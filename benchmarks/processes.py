@@ -2,8 +2,8 @@
 
     python benchmarks/processes.py [--rounds 7]
 
-Two tasks in the Cornell box, with paths of 5 bounces: the radiance along one ray, from 2^23 paths, and an image of
-256 x 256 pixels with 128 samples each. They are made by
+Two tasks in the Cornell box, with paths of 5 bounces: the radiance along one ray, from 2^24 paths, and an image of
+256 x 256 pixels with 256 samples each. They are made by
 
 * one process that is bound to one core,
 * two processes, each bound to a core of its own, that make the estimate together (``mc.join_processes``),
@@ -11,7 +11,8 @@ Two tasks in the Cornell box, with paths of 5 bounces: the radiance along one ra
 * one process with two virtual devices on two cores, which share every kernel call.
 
 All are started and warmed up before the first round, and take turns; a time is from the word to begin until the last
-process of a kind has its estimate. A gain compares neighbours in a round. All results must have the same bits.
+process of a kind has its estimate. A gain compares neighbours in a round; the seconds of all cores together tell what
+was spent where other work slowed down the clock. All results must have the same bits.
 Everything lands in ``benchmarks/results/processes.json``.
 """
 
@@ -28,7 +29,7 @@ import numpy as np
 
 RESULTS = Path(__file__).parent / "results" / "processes.json"
 TASKS = ("integral", "image")
-PATHS, SIZE, SPP, BOUNCES = 1 << 23, 256, 128, 5
+PATHS, SIZE, SPP, BOUNCES = 1 << 24, 256, 256, 5
 ALONE = "one process on one core"
 # Cores of each process, and devices of each.
 KINDS = {
@@ -52,26 +53,30 @@ def main():
     groups = {name: Group(*kind) for name, kind in KINDS.items()}
     found = {"paths": PATHS, "size": SIZE, "spp": SPP, "bounces": BOUNCES, "rounds": options.rounds}
     for task in TASKS:
-        digests = {name: group.make(task)[1] for name, group in groups.items()}
+        digests = {name: group.make(task)[2] for name, group in groups.items()}
         assert len(set(digests.values())) == 1, f"{task}: other bits: {digests}"
     found["load before"] = os.getloadavg()
     for task in TASKS:
-        seconds = {name: [] for name in groups}
+        seconds, spent = ({name: [] for name in groups} for _ in range(2))
         for _ in range(options.rounds):
             for name, group in groups.items():
-                seconds[name].append(group.make(task)[0])
-        found[task] = {name: figures(times, seconds[ALONE]) for name, times in seconds.items()}
+                clock, cores, _ = group.make(task)
+                seconds[name].append(clock)
+                spent[name].append(cores)
+        found[task] = {name: figures(times, seconds[ALONE], spent[name]) for name, times in seconds.items()}
         for name, figure in found[task].items():
             low, middle, high = figure["gain from"], figure["gain"], figure["gain to"]
-            print(f"{task}, {name}: {figure['seconds']:.2f} s, gain {middle:.2f} ({low:.2f} to {high:.2f})", flush=True)
+            spent = f"{figure['core seconds']:.2f} s of cores"
+            print(f"{task}, {name}: {figure['seconds']:.2f} s, {spent}, gain {middle:.2f} ({low:.2f} to {high:.2f})")
     for group in groups.values():
         group.end()
     write_json(options.out, {**found, "machine": machine(), "versions": versions()})
 
 
-def figures(times, alone):
+def figures(times, alone, spent):
     low, middle, high = np.quantile(np.divide(alone, times), (0.0, 0.5, 1.0))
-    return {"seconds": np.median(times), "gain": middle, "gain from": low, "gain to": high, "times": times}
+    found = {"seconds": np.median(times), "core seconds": np.median(spent)}
+    return found | {"gain": middle, "gain from": low, "gain to": high, "times": times}
 
 
 class Group:
@@ -93,14 +98,15 @@ class Group:
             assert process.stdout.readline() == "ready\n"
 
     def make(self, task):
-        """Return the seconds that it took, and the digest of the estimate."""
+        """Return the seconds that it took, those of all cores together, and the digest of the estimate."""
         start = time.perf_counter()
         for process in self.processes:
             process.stdin.write(f"{task}\n")
             process.stdin.flush()
-        digests = {process.stdout.readline().strip() for process in self.processes}
+        said = [process.stdout.readline().split() for process in self.processes]
+        seconds, digests = time.perf_counter() - start, {digest for digest, _ in said}
         assert len(digests) == 1, digests
-        return time.perf_counter() - start, digests.pop()
+        return seconds, sum(float(spent) for _, spent in said), digests.pop()
 
     def end(self):
         for process in self.processes:
@@ -110,7 +116,7 @@ class Group:
 
 
 def work(count, rank, port):
-    """Make an estimate for each task on standard input, and print its digest."""
+    """Make an estimate for each task on standard input, and print its digest and the seconds of its cores."""
     import jax
 
     import jaxmc as mc
@@ -127,8 +133,11 @@ def work(count, rank, port):
     }
     print("ready", flush=True)
     for line in sys.stdin:
-        bits = b"".join(np.asarray(x).tobytes() for x in jax.tree.leaves(tasks[line.strip()]().moments))
-        print(hashlib.sha256(bits).hexdigest(), flush=True)
+        start = time.process_time()
+        estimate = tasks[line.strip()]()
+        spent = time.process_time() - start
+        bits = b"".join(np.asarray(x).tobytes() for x in jax.tree.leaves(estimate.moments))
+        print(hashlib.sha256(bits).hexdigest(), spent, flush=True)
 
 
 if __name__ == "__main__":

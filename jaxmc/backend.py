@@ -102,9 +102,10 @@ def mesh() -> jax.sharding.Mesh | None:
 
 
 def processes():
-    """Return the key-value store of ``jax.distributed``, or None, the number of this process and how many there are."""
+    """Return the key-value store of ``jax.distributed``, or None, the number of this process, how many there are, and
+    the address of the first one."""
     state = distributed.global_state
-    return state.client, state.process_id, state.num_processes
+    return state.client, state.process_id, state.num_processes, state.coordinator_address
 
 
 @functools.cache

@@ -107,9 +107,11 @@ class Hand:
 
     def show(self, everyone):
         """Put the sums of all processes together: in all of them, or only in the first one."""
-        contents = self.team.exchange(to_bytes(self.run.sums.states), everyone)
+        own = self.run.sums.states
+        contents = self.team.exchange(to_bytes(own), everyone)
         if contents:
-            groups = [from_bytes(content) for content in contents]
+            others = (from_bytes(content) if rank != self.team.rank else own for rank, content in enumerate(contents))
+            groups = list(others if everyone else map(copy.deepcopy, others))
             order = np.argsort(np.concatenate(self.places))
             self.whole.states = join_items(self.whole.tallies, groups, order)
             self.whole.structure = self.run.sums.structure

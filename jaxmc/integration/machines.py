@@ -14,9 +14,9 @@ import jax
 import numpy as np
 
 from .. import backend
+from .mailbox import Mailbox, new_secret, own_host
 
 BEAT, SILENCE = 2.0, 20.0  # seconds between signs of life; without one a process is lost
-PIECE = 1 << 22  # bytes that are sent at once
 PATIENCE = 3600.0  # seconds that processes wait for each other where there is nothing to tell that one is lost
 
 
@@ -27,13 +27,19 @@ class LostProcess(RuntimeError):
 class Team:
     """The processes that make estimates together, of which this is number ``rank`` of ``size``."""
 
-    def __init__(self, client, rank, size, workers):
+    def __init__(self, client, rank, size, workers, first):
         self.client, self.rank, self.size = client, rank, size
         self.calls, self.meetings, self.sent, self.looked = 0, 0, deque(), time.monotonic()
         self.exchanges, self.words, self.heard = 0, 0, 0
         self.seen: dict[int, tuple[str, float, float]] = {}
         client.key_value_set(f"jaxmc/workers/{rank}", str(workers))
         threading.Thread(target=self._beat, daemon=True).start()
+        if rank == 0:
+            client.key_value_set("jaxmc/secret", new_secret())
+        secret = self._wait(lambda ms: self._get("jaxmc/secret", ms), 0)
+        self.mailbox = Mailbox(own_host(first), secret.encode())
+        client.key_value_set(f"jaxmc/address/{rank}", self.mailbox.address)
+        self.addresses = [self._wait(lambda ms, k=k: self._get(f"jaxmc/address/{k}", ms), k) for k in range(size)]
         self.workers = max(int(self._wait(lambda ms, k=k: self._get(f"jaxmc/workers/{k}", ms), k)) for k in range(size))
 
     def _get(self, key, milliseconds):
@@ -97,23 +103,22 @@ class Team:
     def exchange(self, content: bytes, everyone: bool) -> list[bytes]:
         """Return what all processes pass here, by their ranks; unless ``everyone`` asks, none but the first gets it."""
         self.exchanges += 1
-        key, found = f"jaxmc/exchanged/{self.exchanges}", []
-        for start in range(0, len(content), PIECE):
-            self.client.key_value_set_bytes(f"{key}/{self.rank}/{start}", content[start : start + PIECE])
-        self.client.key_value_set(f"{key}/{self.rank}/size", str(len(content)))
+        number, found = self.exchanges, []
+        self.mailbox.offers[number] = content
+        self.client.key_value_set(f"jaxmc/offered/{number}/{self.rank}", "there")
         if everyone or self.rank == 0:
-            found = [content if owner == self.rank else self._pieces(key, owner) for owner in range(self.size)]
+            found = [content if owner == self.rank else self._fetch(owner, number) for owner in range(self.size)]
         self.meet()
-        self.client.key_value_delete(f"{key}/{self.rank}/")
+        del self.mailbox.offers[number]
         return found
 
-    def _pieces(self, key, owner):
-        size = int(self._wait(lambda ms: self._get(f"{key}/{owner}/size", ms), owner))
-        get = self.client.blocking_key_value_get_bytes
-        return b"".join(
-            self._wait(lambda ms, start=start: get(f"{key}/{owner}/{start}", ms), owner)
-            for start in range(0, size, PIECE)
-        )
+    def _fetch(self, owner, number):
+        self._wait(lambda ms: self._get(f"jaxmc/offered/{number}/{owner}", ms), owner)
+        address = self.addresses[owner]
+        try:
+            return self.mailbox.fetch(address, number)
+        except (OSError, EOFError) as error:
+            raise LostProcess(f"process {owner} of {self.size} cannot be reached at {address}: {error}") from error
 
     def meet(self):
         """Wait until all processes are here."""
@@ -174,11 +179,11 @@ def join_processes() -> Team | None:
     Raises:
         ValueError: ``jax.distributed`` was not initialised.
     """
-    client, rank, size = backend.processes()
+    client, rank, size, first = backend.processes()
     if client is None:
         raise ValueError("call jax.distributed.initialize(address, count, rank) first, before any computation")
     if not _teams and size > 1:
-        _teams.append(Team(client, rank, size, backend.workers()))
+        _teams.append(Team(client, rank, size, backend.workers(), first))
     return team()
 
 

@@ -8,7 +8,6 @@ all of it, and is compared before anything is made of the content.
 import contextlib
 import dataclasses
 import hashlib
-import io
 import json
 import math
 import os
@@ -53,7 +52,10 @@ def save(path, value) -> None:
     unfinished = path.with_name(f".{path.name}.unfinished")
     try:
         with unfinished.open("wb") as file:
-            _write(file, value)
+            arrays = []
+            head = {"format": FORMAT, "version": VERSION, "content": to_plain(value, arrays)}
+            text = np.frombuffer(json.dumps(head).encode(), np.uint8)
+            np.savez(file, head=text, checksum=_checksum(text, arrays), **{f"a{i}": x for i, x in enumerate(arrays)})
             file.flush()
             os.fsync(file.fileno())
         unfinished.replace(path)
@@ -63,24 +65,23 @@ def save(path, value) -> None:
     _sync_folder(path.parent)
 
 
-def _write(file, value):
-    arrays = []
-    head = {"format": FORMAT, "version": VERSION, "content": to_plain(value, arrays)}
-    text = np.frombuffer(json.dumps(head).encode(), np.uint8)
-    np.savez(file, head=text, checksum=_checksum(text, arrays), **{f"a{i}": x for i, x in enumerate(arrays)})
-
-
 def to_bytes(value) -> bytes:
-    """Return the content of the file that ``save`` would write; ``from_bytes`` reads it."""
-    file = io.BytesIO()
-    _write(file, value)
-    return file.getvalue()
+    """Return an object as bytes for another process, without a checksum; ``from_bytes`` reads them."""
+    arrays = []
+    content = to_plain(value, arrays)
+    head = json.dumps({"content": content, "arrays": [[x.dtype.str, x.shape] for x in arrays]}).encode()
+    return b"".join([len(head).to_bytes(8, "little"), head, *(np.ascontiguousarray(x).data for x in arrays)])
 
 
 def from_bytes(content: bytes) -> Any:
     """Return the object that ``to_bytes`` was given."""
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        return _content(archive, len(content))
+    start = 8 + int.from_bytes(content[:8], "little")
+    head, arrays, room = json.loads(content[8:start]), [], bytearray(content)
+    for name, shape in head["arrays"]:
+        dtype, count = np.dtype(name), math.prod(shape)
+        arrays.append(np.frombuffer(room, dtype, count, start).reshape(shape))
+        start += count * dtype.itemsize
+    return from_plain(head["content"], arrays)
 
 
 def is_storable(value) -> bool:
