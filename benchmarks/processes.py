@@ -2,8 +2,8 @@
 
     python benchmarks/processes.py [--rounds 7]
 
-Two tasks in the Cornell box, with paths of 5 bounces: the radiance along one ray, from 2^24 paths, and an image of
-256 x 256 pixels with 256 samples each. They are made by
+Two tasks in the Cornell box, with paths of 5 bounces: the radiance along one ray, from 2^25 paths, and an image of
+256 x 256 pixels with 512 samples each. They are made by
 
 * one process that is bound to one core,
 * two processes, each bound to a core of its own, that make the estimate together (``mc.join_processes``),
@@ -29,7 +29,7 @@ import numpy as np
 
 RESULTS = Path(__file__).parent / "results" / "processes.json"
 TASKS = ("integral", "image")
-PATHS, SIZE, SPP, BOUNCES = 1 << 24, 256, 256, 5
+PATHS, SIZE, SPP, BOUNCES = 1 << 25, 256, 512, 5
 ALONE = "one process on one core"
 # Cores of each process, and devices of each.
 KINDS = {
