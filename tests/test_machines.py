@@ -103,7 +103,7 @@ def test_all_integrals_are_dealt():
         assert max(sizes) - min(sizes) <= -(-count // (size * LANES)) and len({lanes_for(n) for n in sizes}) == 1
 
 
-@pytest.mark.parametrize("sampler", [mc.Independent(), mc.Sobol()], ids=str)
+@pytest.mark.parametrize("sampler", [mc.Independent(), pytest.param(mc.Sobol(), marks=pytest.mark.slow)], ids=str)
 def test_states_that_are_dealt_and_put_together_are_as_before(sampler):
     kinds = {name: tally for name, tally in PIXEL_TALLIES.items() if not tally.pooled}
     made = mc.integrate_each(PIXELS, 300, n=64, tallies=kinds, sampler=sampler, indices=range(64), chunk=BLOCK).sums

@@ -203,7 +203,7 @@ def test_render_and_merge_on_the_command_line(tmp_path, monkeypatch, capsys):
         assert cli.main([*shot, *wrong]) == 2 and "--part" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("sampler", [mc.Independent(), mc.Sobol()], ids=str)
+@pytest.mark.parametrize("sampler", [mc.Independent(), pytest.param(mc.Sobol(), marks=pytest.mark.slow)], ids=str)
 def test_bands_of_a_large_image_have_the_bits_of_the_whole(sampler, monkeypatch):
     tallies = {"tail": mc.TailHistogram(mc.luminance), "top": mc.TopSamples(20, mc.luminance)}
     whole = image(sampler=sampler, tallies=tallies)
