@@ -19,12 +19,13 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
+import jax
 import numpy as np
 from agreement import compare, image_means, variance_by_own
 from peers import Peer
 
 import jaxmc as mc
-from jaxmc import scenes
+from jaxmc import backend, scenes
 from jaxmc.report import machine, versions, write_json
 
 ROOT = Path(__file__).parents[1]
@@ -56,6 +57,7 @@ def main():
         print(f"  first call: {found['first_call']['overhead']:.2f} s more, which compiles the kernel")
         if peers and not options.skip_agreement:
             found["agreement"] = {scene[0]: agreement(peers[0], options.seed, *scene) for scene in COMPARED}
+    found["gpu"] = gpu(options)
     found |= {"peers": [peer.about for peer in peers], "machine": machine(), "versions": versions()}
     write_json(RESULTS, found)
     print(f"All numbers: {RESULTS.relative_to(ROOT)}")
@@ -103,6 +105,17 @@ def peak_memory(size, spp):
 def first_call(options):
     seconds, _ = render(options.size, options.spp, 0)
     return {"seconds": seconds}
+
+
+def gpu(options):
+    """Return how fast the same image is made where JAX has a GPU; None where it has none."""
+    if jax.default_backend() == "cpu":
+        print("JAX has no GPU here: nothing was measured on one.")
+        return None
+    times = [render(options.size, options.spp, seed)[0] for seed in range(1 + options.rounds)][1:]
+    median = float(np.median(times))
+    print(f"GPU: {options.size**2 * options.spp / median / 1e6:.2f} M paths/s")
+    return {"device": jax.devices()[0].device_kind, "seconds": median, "times": times, "widths": backend.widths()}
 
 
 def start(stack, options, variants):

@@ -4,10 +4,15 @@ import os
 import subprocess
 import sys
 
+import jax.numpy as jnp
 import jaxlib
+import numpy as np
 import pytest
 
+import jaxmc as mc
+from jaxmc import backend
 from jaxmc.backend import EXTRA_OPTIONS, FAST_FUSION, NO_YNN_FUSION, check_arithmetic, with_flags, workers
+from jaxmc.scenes import mirror_box
 
 
 def test_flags_are_added_to_nothing():
@@ -54,3 +59,23 @@ def test_importing_first_is_silent_and_late_warns_once():
 def test_the_self_test_refuses_a_backend_that_adds_wrongly():
     code = "import jax.numpy as jnp; jnp.zeros(1); import jaxmc\ntry: jaxmc.integrate(lambda u: u[0], dim=1, n=1)"
     assert "JAX issue 39103" in _run(code + "\nexcept RuntimeError as e: print(e)")
+
+
+@pytest.mark.slow
+def test_wide_rows_as_on_a_gpu_find_the_same(monkeypatch):
+    tallies = {"tail": mc.TailHistogram(), "top": mc.TopSamples(50)}
+    scene, camera = mirror_box(True, 30, 20)
+
+    def found():
+        options = {"tallies": tallies, "workers": 2}
+        one = mc.integrate(lambda u: u[0] / jnp.sqrt(u[1]), dim=2, n=300_000, **options)
+        few = mc.integrate(lambda u: u[0] * u[1], dim=2, n=3000, sampler=mc.Sobol(), **options)
+        return one, few, mc.render(scene, camera, spp=5, bounces=1)
+
+    narrow = found()
+    monkeypatch.setattr(backend, "widths", lambda: backend.GPU_WIDTHS)
+    wide = found()
+    for a, b in zip(narrow, wide, strict=True):
+        assert np.allclose(a.mean, b.mean, rtol=1e-6) and np.allclose(a.stderr, b.stderr, rtol=1e-4) and a.n == b.n
+    for a, b in zip(narrow[:2], wide[:2], strict=True):
+        assert all(np.array_equal(x, y) for name in tallies for x, y in zip(a[name], b[name], strict=True))

@@ -206,6 +206,25 @@ def test_an_unfinished_file_is_an_estimate_too(tmp_path):
         mc.merge(part, part)
 
 
+def test_pixels_that_are_one_pass_behind_have_means_of_their_own_samples(tmp_path):
+    tallies = PIXEL_TALLIES | {"ladder": mc.ClampLadder((1.0, 8.0), mc.luminance)}
+
+    def make(n, **more):
+        return mc.integrate_each(PIXELS, 4000, n=n, tallies=tallies, chunk=BLOCK, **more)
+
+    path, few, many = tmp_path / "run.npz", make(32), make(64)
+    with pytest.raises(Killed):
+        make(96, checkpoint=mc.Checkpoint(path, 0.0), progress=killed_after(6))
+    part, ahead = mc.Estimate.load(path), 2 * 1344  # three rows are a pass, two more are in the file
+    for name in ("clamped", "excess_square"):
+        got, more, less = (getattr(e["ladder"], name) for e in (part, many, few))
+        assert np.array_equal(got[:, :ahead], more[:, :ahead]) and np.array_equal(got[:, ahead:], less[:, ahead:])
+    for name in ("cascade", "layers"):
+        got, more, less = (e[name].value for e in (part, many, few))
+        assert np.array_equal(got[:, :ahead], more[:, :ahead]) and np.array_equal(got[:, ahead:], less[:, ahead:])
+        assert np.allclose(got.sum(0), part.mean, rtol=1e-5) and not np.array_equal(more, less)
+
+
 @pytest.mark.slow
 def test_an_unfinished_file_of_randomisations_has_the_complete_ones(tmp_path):
     path = tmp_path / "sobol.npz"

@@ -10,6 +10,7 @@ from trees import tree
 
 import jaxmc as mc
 from jaxmc import cli
+from jaxmc.integration import bands
 from jaxmc.integration.kernel import BLOCK
 
 
@@ -201,3 +202,13 @@ def test_render_and_merge_on_the_command_line(tmp_path, monkeypatch, capsys):
     assert cli.main(["merge", "nothing.npz"]) == 2 and "cannot be read" in capsys.readouterr().err
     for wrong in (["--part", "4/3"], ["--part", "x"], ["--part", "1/3", "--preview"]):
         assert cli.main([*shot, *wrong]) == 2 and "--part" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("sampler", [mc.Independent(), pytest.param(mc.Sobol(), marks=pytest.mark.slow)], ids=str)
+def test_bands_of_a_large_image_have_the_bits_of_the_whole(sampler, monkeypatch):
+    tallies = {"tail": mc.TailHistogram(mc.luminance), "top": mc.TopSamples(20, mc.luminance)}
+    whole = image(sampler=sampler, tallies=tallies)
+    monkeypatch.setattr(bands, "BAND", 150)
+    banded = image(sampler=sampler, tallies=tallies)
+    assert same(banded, whole) and banded.recipe == whole.recipe and str(banded) == str(whole)
+    assert np.array_equal(banded.stderr, whole.stderr) and banded.sums is None

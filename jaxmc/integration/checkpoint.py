@@ -10,6 +10,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from . import machines, storage
+from .counts import MOST
 from .estimate import Estimate
 from .recipes import difference, recipe
 from .sums import Sums
@@ -105,30 +106,37 @@ class Keeper:
         """Return the sums in the file. Raises ``ValueError`` where it holds none, or those of another recipe."""
         found = storage.load(self.path)
         cure = "name another file, or remove this one"
-        if not isinstance(found, Sums) or found.recipe is None or not (found.finished or found.pending):
-            raise ValueError(f"{self.path} holds no checkpoint; {cure}")
         self.recipe = recipe(self.run, self.n, self.target)
-        if other := difference(found.recipe, self.recipe):
-            raise ValueError(f"{self.path} is of another run: it has {other}; {cure}")
+        try:
+            if not isinstance(found, Sums) or found.recipe is None or not (found.finished or found.pending):
+                raise ValueError(f"holds no checkpoint; {cure}")
+            if other := difference(found.recipe, self.recipe):
+                raise ValueError(f"is of another run: it has {other}; {cure}")
+            # Tallies of the caller have their functions, those of a file do not.
+            sums = self.run.sums
+            found.tallies, found.about, found.view = sums.tallies, sums.about, sums.view
+            most = MOST if self.n is None else self.run.points(self.n) * (self.run.replicates or 1)
+            found.check(self.run.empty_sums(self.n), most)
+        except Exception as error:  # a file that was written by another hand may hold anything
+            why = error if isinstance(error, ValueError) else f"holds no checkpoint, but {error!r}; {cure}"
+            raise ValueError(f"{self.path} {why}") from error
         return found
 
     def take_up(self, found: Sums):
         """Let the run go on from sums that were found."""
         run = self.run
-        # Tallies of the caller have their functions, those of a file do not.
-        found.tallies, found.about, found.view = run.sums.tallies, run.sums.about, run.sums.view
         run.sums, run.seconds_before = found, found.seconds
         run.used = found.first + (run.replicates or 0)
 
-    def after_job(self):
-        """Write, if it is time to. Raises ``KeyboardInterrupt`` if Ctrl-C was pressed, when all is written."""
+    def after_job(self, due=False):
+        """Write, if it is ``due`` or time to. If Ctrl-C was pressed, write and raise ``KeyboardInterrupt``."""
         if self.interrupted:
             self.write()
             done = f"{self.run.sums.drawn:,} samples are done and kept in {self.path}"
-            with contextlib.suppress(ValueError):
+            with contextlib.suppress(ValueError):  # no estimate yet
                 done += f": {self.run.sums.estimate()}"
             raise KeyboardInterrupt(done)
-        if time.monotonic() >= self.due:
+        if due or time.monotonic() >= self.due:
             self.write()
 
     def finish(self, estimate) -> Estimate:

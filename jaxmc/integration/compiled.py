@@ -12,7 +12,7 @@ from jax import lax
 from .. import backend
 from .counts import positive
 from .integrand import as_integrand
-from .kernel import LANES, values_of_row
+from .kernel import values_of_row
 from .samplers import Independent, Index, seed_words
 
 SHORT = 1024  # samples that still make a single row
@@ -85,7 +85,7 @@ def _with_params(integrand, params):
 
 def _estimate(integrand, tables, seed, sampler, points, replicates):
     count = replicates or 1
-    lanes = points if points <= SHORT else LANES
+    lanes = points if points <= SHORT else backend.widths().lanes
     together = min(count, max(1, SHORT // lanes))  # replicates that share a row
     first, start = np.arange(0, count, together, np.uint32), np.arange(0, points, lanes, np.uint32)
     size = np.minimum(points - start.astype(int), lanes)

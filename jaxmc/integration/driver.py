@@ -4,12 +4,13 @@ Kernel calls run on as many threads as there are cores, and XLA keeps each call 
 the order of the blocks: a result is the same, bit for bit, for any chunk size and any number of workers.
 """
 
+from .. import backend
 from . import stopping
 from .checkpoint import keep
 from .counts import positive
 from .estimate import Estimate
 from .integrand import Integrand, as_integrand
-from .kernel import BLOCK, CHUNK, LANES, ROWS, lanes_for, lanes_together
+from .kernel import ROWS, lanes_for, lanes_together
 from .moments import Moments
 from .parts import WHOLE, Part, part
 from .run import Run
@@ -64,7 +65,7 @@ def integrate(
     n = _number(n, indices, replicates)
     target = stopping.target(n, rtol, atol, max_n, max_seconds)
     n = n if n is None else positive("n", n)
-    blocks, rows, lanes = blocks_of(chunk), ROWS, LANES
+    blocks, rows, lanes = blocks_of(chunk), ROWS, backend.widths().lanes
     if integrand.together:
         lanes = lanes_together(n if indices is None else None, replicates)
     elif n is not None and replicates and n // replicates < SMALL * SMALL_LANES:
@@ -115,7 +116,9 @@ def family_run(
 
 
 def blocks_of(chunk):
-    return max(1, positive("chunk", CHUNK if chunk is None else chunk) // BLOCK)
+    """Return how many blocks there are in a kernel call of so many samples, None for what suits the backend."""
+    lanes, usual = backend.widths()
+    return max(1, positive("chunk", usual if chunk is None else chunk) // (ROWS * lanes))
 
 
 def _replicates(replicates, sampler, default):

@@ -1,7 +1,7 @@
 """The kernel: evaluates blocks of samples of an integrand and reduces each block to the records of the tallies.
 
-A block holds ``ROWS x LANES`` samples. One row is evaluated at a time, so that its state stays in the cache; a kernel
-call runs a few blocks, one after the other.
+A block holds ``ROWS x LANES`` samples on a CPU; on a GPU rows are wider (``backend.widths``). One row is evaluated at a
+time, so that its state stays in the cache; a kernel call runs a few blocks, one after the other.
 """
 
 from collections.abc import Iterator
@@ -18,14 +18,12 @@ from .. import backend
 from .integrand import SAMPLES
 from .samplers import Index
 
-# Samples side by side; measured 10 % faster than 960. Of powers of two, arrays compete for the same cache sets.
-LANES = 1920
+LANES = backend.CPU_WIDTHS.lanes
 ROWS = 32
 VECTOR = 64  # a number of lanes that vector code divides evenly
 BLOCK = ROWS * LANES
 TOGETHER = 2048  # most lanes of samples that are worked on together
 MEANS = 256  # their means that show how they are spread
-CHUNK = 1 << 18  # samples to a kernel call: long against the cost of a call, short against a progress bar
 
 
 class Job(NamedTuple):
@@ -108,7 +106,7 @@ def _take(iterator, count):
 
 def lanes_for(items):
     """Return how many lanes a row has in a family of integrals, so that few are left idle in the last row."""
-    evenly = -(-items // -(-items // LANES))
+    evenly = -(-items // -(-items // backend.widths().lanes))
     return -(-evenly // VECTOR) * VECTOR
 
 

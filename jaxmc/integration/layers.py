@@ -16,7 +16,7 @@ from jax import lax
 
 from .buckets import as_array, fold_rows
 from .counts import is_count
-from .moments import apply
+from .moments import apply, per_sample
 from .storage import storable
 
 LAYERS = 16
@@ -41,7 +41,7 @@ class _Sums:
 class CascadeSums(NamedTuple):
     """Samples split over layers of brightness b_i = start base^i, the last one holding what is above the top layer.
 
-    ``value``: sums of the samples divided by ``n``, shape (layers + 1, items..., components...); over the first axis
+    ``value``: sums of the samples over their number, shape (layers + 1, items..., components...); over the first axis
     they add up to the mean. ``soft_count``, shape (layers, items...), says how many samples as bright as b_i hold the
     light of a layer.
     """
@@ -102,9 +102,9 @@ class Cascade(_Sums):
         return jnp.stack([*between, jnp.minimum(share[-1], stays), 1.0 - stays])
 
     def result(self, state):
-        n, axis = int(np.max(state["n"])), state["n"].ndim
-        value, soft = (np.moveaxis(state[k], axis, 0) for k in ("value", "soft"))
-        return CascadeSums(float(self.base), float(self.start), n, value / n, soft)
+        n, axis = np.asarray(state["n"]), np.ndim(state["n"])
+        value, soft = (np.moveaxis(x, axis, 0) for x in (per_sample(state["value"], n), state["soft"]))
+        return CascadeSums(float(self.base), float(self.start), int(n.max()), value, soft)
 
 
 @storable
@@ -112,7 +112,7 @@ class LayerSums(NamedTuple):
     """Samples in bins of brightness: bin j from ``edges[j]`` up to the next edge, the first with all below.
 
     ``count`` and ``total``, shape (bins, items...), are the number of samples and the sum of their brightness, as in a
-    ``Histogram``. ``value``, shape (bins, items..., components...), is their sum divided by ``n``; over the first axis
+    ``Histogram``. ``value``, shape (bins, items..., components...), is their sum divided by n; over the first axis
     it adds up to the mean.
     """
 
@@ -156,9 +156,10 @@ class Layers(_Sums):
         )
 
     def result(self, state):
-        n, axis = int(np.max(state["n"])), state["n"].ndim
-        count, total, value = (np.moveaxis(state[k], axis, 0) for k in ("count", "total", "value"))
-        return LayerSums(np.array(self.edges, float), n, count, total, value / n)
+        n, axis = np.asarray(state["n"]), np.ndim(state["n"])
+        sums = state["count"], state["total"], per_sample(state["value"], n)
+        count, total, value = (np.moveaxis(x, axis, 0) for x in sums)
+        return LayerSums(np.array(self.edges, float), int(n.max()), count, total, value)
 
 
 def _with_light(tally, values):

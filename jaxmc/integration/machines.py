@@ -1,8 +1,9 @@
 """Several processes, on one machine or many, that make each estimate together.
 
-All of them run the same program. Of the kernel calls of an estimate each makes every k-th, and sends the records to the
-others, by way of the key-value store of ``jax.distributed``. All add up the records of all calls in the same order, so
-each process has the same estimate, bit for bit that of a single one.
+All of them run the same program, and talk by way of the key-value store of ``jax.distributed``. The integrals of a
+family, such as the pixels of an image, are dealt to them, see ``dealing``. Of the kernel calls of a single integral
+each makes every k-th, and sends the records to the others; all add them up in the same order. So each process has the
+same estimate, bit for bit that of a single one.
 """
 
 import threading
@@ -13,6 +14,7 @@ import jax
 import numpy as np
 
 from .. import backend
+from .mailbox import Mailbox, new_secret, own_host
 
 BEAT, SILENCE = 2.0, 20.0  # seconds between signs of life; without one a process is lost
 PATIENCE = 3600.0  # seconds that processes wait for each other where there is nothing to tell that one is lost
@@ -25,12 +27,19 @@ class LostProcess(RuntimeError):
 class Team:
     """The processes that make estimates together, of which this is number ``rank`` of ``size``."""
 
-    def __init__(self, client, rank, size, workers):
+    def __init__(self, client, rank, size, workers, first):
         self.client, self.rank, self.size = client, rank, size
-        self.calls, self.meetings, self.sent = 0, 0, deque()
-        self.seen: dict[int, tuple[str, float]] = {}
+        self.calls, self.meetings, self.sent, self.looked = 0, 0, deque(), time.monotonic()
+        self.exchanges, self.words, self.heard = 0, 0, 0
+        self.seen: dict[int, tuple[str, float, float]] = {}
         client.key_value_set(f"jaxmc/workers/{rank}", str(workers))
         threading.Thread(target=self._beat, daemon=True).start()
+        if rank == 0:
+            client.key_value_set("jaxmc/secret", new_secret())
+        secret = self._wait(lambda ms: self._get("jaxmc/secret", ms), 0)
+        self.mailbox = Mailbox(own_host(first), secret.encode())
+        client.key_value_set(f"jaxmc/address/{rank}", self.mailbox.address)
+        self.addresses = [self._wait(lambda ms, k=k: self._get(f"jaxmc/address/{k}", ms), k) for k in range(size)]
         self.workers = max(int(self._wait(lambda ms, k=k: self._get(f"jaxmc/workers/{k}", ms), k)) for k in range(size))
 
     def _get(self, key, milliseconds):
@@ -59,17 +68,57 @@ class Team:
     def _check(self, owner):
         """Raise ``LostProcess`` if a process has given no sign of life for too long."""
         try:
-            beat = self._get(f"jaxmc/alive/{owner}", 1)
+            beat = self._get(f"jaxmc/alive/{owner}", int(1000 * BEAT))
         except jax.errors.JaxRuntimeError:
             beat = "none"
-        last, since = self.seen.get(owner, ("", 0.0))
-        if beat != last:
-            self.seen[owner] = beat, time.monotonic()
-        elif time.monotonic() - since > SILENCE:
+        now = time.monotonic()
+        last, since, looked = self.seen.get(owner, ("", 0.0, 0.0))
+        # A new sign of life counts, and so does a pause of this process, for the others may have paused with it.
+        if beat != last or now - looked > SILENCE / 2:
+            since = now
+        self.seen[owner] = beat, since, now
+        if now - since > SILENCE:
             raise LostProcess(
                 f"process {owner} of {self.size} has given no sign of life for {SILENCE:g} s: it was killed, or cannot "
                 "be reached. Start all again; what is in a checkpoint is not made again"
             )
+
+    def look(self):
+        """Raise ``LostProcess`` if another process is lost; looks once in a while, however often it is called."""
+        if time.monotonic() - self.looked > BEAT:
+            self.looked = time.monotonic()
+            for owner in range(self.size):
+                self._check(owner)
+
+    def say(self, word):
+        """Let all processes ``hear`` a word of this one, the first of them."""
+        self.words += 1
+        self.client.key_value_set(f"jaxmc/words/{self.words}", word)
+
+    def hear(self):
+        """Return the next word of the first process."""
+        self.heard += 1
+        return self._wait(lambda ms: self._get(f"jaxmc/words/{self.heard}", ms), 0)
+
+    def exchange(self, content: bytes, everyone: bool) -> list[bytes]:
+        """Return what all processes pass here, by their ranks; unless ``everyone`` asks, none but the first gets it."""
+        self.exchanges += 1
+        number, found = self.exchanges, []
+        self.mailbox.offers[number] = content
+        self.client.key_value_set(f"jaxmc/offered/{number}/{self.rank}", "there")
+        if everyone or self.rank == 0:
+            found = [content if owner == self.rank else self._fetch(owner, number) for owner in range(self.size)]
+        self.meet()
+        del self.mailbox.offers[number]
+        return found
+
+    def _fetch(self, owner, number):
+        self._wait(lambda ms: self._get(f"jaxmc/offered/{number}/{owner}", ms), owner)
+        address = self.addresses[owner]
+        try:
+            return self.mailbox.fetch(address, number)
+        except (OSError, EOFError) as error:
+            raise LostProcess(f"process {owner} of {self.size} cannot be reached at {address}: {error}") from error
 
     def meet(self):
         """Wait until all processes are here."""
@@ -130,11 +179,11 @@ def join_processes() -> Team | None:
     Raises:
         ValueError: ``jax.distributed`` was not initialised.
     """
-    client, rank, size = backend.processes()
+    client, rank, size, first = backend.processes()
     if client is None:
         raise ValueError("call jax.distributed.initialize(address, count, rank) first, before any computation")
     if not _teams and size > 1:
-        _teams.append(Team(client, rank, size, backend.workers()))
+        _teams.append(Team(client, rank, size, backend.workers(), first))
     return team()
 
 

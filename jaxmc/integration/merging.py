@@ -1,6 +1,7 @@
 """One estimate from parts that were made apart: by other samples, or other integrals of a family."""
 
 import copy
+import functools
 import itertools
 from collections.abc import Sequence
 
@@ -96,20 +97,22 @@ def _by_items(groups: Sequence[Sums]) -> Sums:
     if (np.diff(chosen[order]) == 0).any():
         raise ValueError("parts overlap: some pixels are in two of them")
     total = copy.deepcopy(first)
-    for name, tally in total.tallies.items():
-        states = [copy.deepcopy(sums.states[name]) for sums in groups]
-        if tally.pooled:
-            for state in states[1:]:
-                states[0] = tally.merge(states[0], state)
-            total.states[name] = states[0]
-        else:
-            total.states[name] = _side_by_side(states, order)
+    total.states = join_items(total.tallies, copy.deepcopy([sums.states for sums in groups]), order)
     total.items, total.chosen = len(chosen), chosen[order]
     total.drawn, total.seconds = sum(sums.drawn for sums in groups), sum(sums.seconds for sums in groups)
     if total.items == total.recipe["items"]:
         total.chosen = None
     _describe(total)
     return total
+
+
+def join_items(tallies, groups, order):
+    """Return states by name of the integrals of all groups, of which ``order`` says how to sort them."""
+    joined = {}
+    for name, tally in tallies.items():
+        states = [states[name] for states in groups]
+        joined[name] = functools.reduce(tally.merge, states) if tally.pooled else _side_by_side(states, order)
+    return joined
 
 
 def _side_by_side(parts, order):

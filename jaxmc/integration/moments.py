@@ -65,6 +65,7 @@ def apply(of, values):
     return values if of is None else of(values)
 
 
+<<<<<<< HEAD
 def _cut(record, shapes):
     """Return the parts of a record of numbers side by side that belong to arrays of these shapes."""
     stops = np.cumsum([math.prod(shape) for shape in shapes])
@@ -73,6 +74,15 @@ def _cut(record, shapes):
         return x[..., stop - math.prod(shape) : stop].reshape(*x.shape[:-1], *shape)
 
     return [jax.tree.map(partial(part, shape, stop), record) for shape, stop in zip(shapes, stops)]
+=======
+def per_sample(sums, n):
+    """Return sums divided by the number of samples of each integral, whose axes come first; NaN where there are none.
+
+    In an unfinished run some integrals may have fewer samples than others.
+    """
+    with np.errstate(all="ignore"):
+        return sums / n.reshape(n.shape + (1,) * (sums.ndim - n.ndim))
+>>>>>>> runs7
 
 
 def _reduce_moments(x, valid, axes, order):

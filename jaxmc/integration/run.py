@@ -1,5 +1,6 @@
 """A run: calls the kernel for the samples of an estimate, on all cores, and adds up records in the order of blocks."""
 
+import copy
 import itertools
 import time
 from collections.abc import Iterator
@@ -9,9 +10,11 @@ import numpy as np
 
 from .. import backend
 from . import machines
+from .bands import add_in_bands, pays
 from .counts import positive
+from .dealing import add_dealt, can_deal
 from .estimate import Estimate
-from .kernel import LANES, ROWS, evaluate, item_jobs, stream_jobs
+from .kernel import ROWS, evaluate, item_jobs, lanes_for, stream_jobs
 from .moments import Moments
 from .parts import WHOLE, Part
 from .samplers import index_words, seed_words
@@ -24,7 +27,8 @@ def _as_array(x):
     return x if isinstance(x, jax.Array) else np.asarray(x)
 
 
-def _check_tallies(tallies):
+def check_tallies(tallies):
+    """Raise ``ValueError`` unless these are tallies by name, or None."""
     if tallies is not None and not (
         isinstance(tallies, dict) and all(isinstance(name, str) and hasattr(t, "reduce") for name, t in tallies.items())
     ):
@@ -46,10 +50,10 @@ class Run:
 
     def __init__(
         self, integrand, key, sampler, replicates, tallies, workers, blocks, rows=ROWS, kept=Moments(), items=None,
-        lanes=LANES, part: Part = WHOLE, view=None,
+        lanes=None, part: Part = WHOLE, view=None,
     ):  # fmt: skip
         backend.check_arithmetic()
-        _check_tallies(tallies)
+        check_tallies(tallies)
         if "moments" in (tallies or {}):
             raise ValueError('the name "moments" is taken by the estimate itself; give your tally another name')
         self.started, self.seconds_before = time.perf_counter(), 0.0
@@ -60,7 +64,8 @@ class Run:
         # Every device gets as many blocks; the last ones may be empty.
         self.workers = backend.workers() if workers is None else positive("workers", workers)
         self.blocks, self.rows = -(-blocks // devices) * devices, rows
-        self.items, self.lanes, self.part, self.keeper = items, lanes, part, None
+        self.items, self.lanes = items, lanes or backend.widths().lanes
+        self.part, self.keeper = part, None
         about = {"key": key, "sampler": repr(sampler), **part.about}
         count = items if part.chosen is None else len(part.chosen)
         self.sums = Sums({"moments": kept, **(tallies or {})}, count, replicates, part.chosen, view, about)
@@ -97,8 +102,13 @@ class Run:
 
     def family(self, n, bar) -> Estimate:
         """Return the estimate of a family of integrals from ``n`` samples each."""
-        *_, estimate = self.passes(n, bar, lambda ranges: [ranges])
-        return estimate
+        points = self.points(n)
+        ranges = self._ranges(points)
+        if pays(self):
+            add_in_bands(self, ranges, points, bar)
+        else:
+            self._add(ranges, points, bar)
+        return self.estimate()
 
     def passes(self, n, bar, cut) -> Iterator[Estimate]:
         """Yield an estimate of a family after each list of ranges that ``cut`` makes of those of all its samples."""
@@ -106,6 +116,13 @@ class Run:
         for some in cut(self._ranges(points)):
             self._add(some, points, bar)
             yield self.estimate()
+
+    def some(self, places) -> "Run":
+        """Return a run of some integrals of the family, by their places among them, without samples."""
+        some, chosen = copy.copy(self), places if self.part.chosen is None else self.part.chosen[places]
+        some.part, some.keeper, some.lanes = Part(chosen=chosen), None, lanes_for(len(places))
+        some.blocks, some.sums = min(self.blocks, -(-len(places) // some.lanes)), self.sums.some(chosen)
+        return some
 
     def extend(self, integrand, start, stop, bar) -> Estimate:
         """Add independent samples ``start <= s < stop`` of an integrand that may have other values of its params."""
@@ -133,11 +150,13 @@ class Run:
         apart = self.items and self.sampler.independent
         return [(r, r * points, (r + 1) * points) if apart else (r, 0, points) for r, *_ in ranges]
 
-    def _jobs(self, ranges, done) -> Iterator:
+    def jobs(self, ranges, done, blocks=None) -> Iterator:
+        """Return the kernel calls for ``ranges`` of samples, without the first ``done`` blocks."""
+        blocks = blocks or self.blocks
         if self.items is None:
-            return stream_jobs(ranges, self.blocks, self.rows, self.lanes, done)
+            return stream_jobs(ranges, blocks, self.rows, self.lanes, done)
         independent = self.sampler.independent
-        return item_jobs(ranges, self.items, self.blocks, self.lanes, independent, done, self.part.chosen)
+        return item_jobs(ranges, self.items, blocks, self.lanes, independent, done, self.part.chosen)
 
     def kernel_arguments(self, points):
         """Return what every call of the kernel gets: its arrays, and what is compiled into it."""
@@ -147,12 +166,43 @@ class Run:
 
     def _add(self, ranges, points, bar, deadline=np.inf) -> bool:
         """Add the samples of ``ranges``, or what is left of them; return whether there was the time for all."""
-        sums, x64 = self.sums, jax.config.jax_enable_x64
-        (given, static), sums.points = self.kernel_arguments(points), points
-        ranges, done = sums.pending = sums.pending or (list(ranges), 0)
+        sums, team = self.sums, machines.team()
+        sums.points, sums.pending = points, sums.pending or (list(ranges), 0)
+        if team and np.isfinite(deadline):
+            raise ValueError(
+                "processes that work together have clocks of their own: give n or a target, no max_seconds"
+            )
+        if team and can_deal(self, team):
+            add_dealt(self, team, bar)
+        elif not self.fold(self.jobs(*sums.pending), bar, deadline, team):
+            return False
+        sums.end_pending()
+        return True
 
-        def call(job):
-            return evaluate(*given, index_words(job.base), job.offset, job.rows, **static, mesh=self.mesh)
+    def begin(self):
+        """Make empty sums, if there are none: that compiles the kernel, for a call that wants no samples."""
+        if not self.sums.states:
+            call, job = self._kernel(), next(self.jobs([(0, 0, 1)], 0))
+            self.sums.begin(*call(job._replace(rows=np.zeros_like(job.rows))))
+
+    def empty_sums(self, n) -> Sums:
+        """Return the sums of a run for ``n`` samples, or a target, before the first of them; nothing is compiled."""
+        sums = Sums(self.sums.tallies, self.sums.items, self.sums.replicates, self.part.chosen)
+        shapes = self._kernel(self.points(n or 1))(next(self.jobs([(0, 0, 1)], 0)), evaluate.eval_shape)
+        sums.begin(*jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), shapes))
+        return sums
+
+    def _kernel(self, points=None):
+        """Return a function of a job that returns its records and an example of a value, by ``evaluate`` as it is or by
+        what else knows its arguments."""
+        given, static = self.kernel_arguments(points or self.sums.points)
+        given = _on_device(given)
+        static = {**static, "mesh": self.mesh}
+        return lambda job, run=evaluate: run(*given, index_words(job.base), job.offset, job.rows, **static)
+
+    def fold(self, jobs, bar, deadline=np.inf, team=None) -> bool:
+        """Add the records of jobs, which a ``team`` of processes shares; return whether there was the time for all."""
+        sums, x64, call = self.sums, jax.config.jax_enable_x64, self._kernel()
 
         def records_of(job):
             # Drop the blocks that want no samples: they are the last ones, and their records are empty.
@@ -162,36 +212,23 @@ class Run:
                 records, example = call(job)
                 return job, blocks, jax.tree.map(lambda x: np.asarray(x)[:blocks], records), example
 
-        team = machines.team()
-        if team and np.isfinite(deadline):
-            raise ValueError(
-                "processes that work together have clocks of their own: give n or a target, no max_seconds"
-            )
-        jobs = self._jobs(ranges, done)
         begin = list(itertools.islice(jobs, 2))
         if len(begin) < 2:
             results = map(records_of, begin)  # no threads for a single call
         else:
-            given = _on_device(given)
-            # Compile once, on a job that wants no samples.
-            if not sums.states:
-                sums.begin(*call(begin[0]._replace(rows=np.zeros_like(begin[0].rows))))
+            self.begin()
             do, jobs, count = records_of, itertools.chain(begin, jobs), self.workers
             if team:
-                shapes = evaluate.eval_shape(
-                    *given, index_words(begin[0].base), *begin[0][1:3], **static, mesh=self.mesh
-                )
-                do, jobs, count = team.shared(records_of, shapes), enumerate(jobs), count * team.size
+                do, jobs = team.shared(records_of, call(begin[0], evaluate.eval_shape)), enumerate(jobs)
+                count *= team.size
             results = ordered_map(do, jobs, count)
         for job, blocks, records, example in results:
             sums.begin(records, example)
             sums.add(records, job)
-            done += int(blocks)
-            sums.pending = ranges, done
+            sums.has_added(int(blocks))
             bar.update(job.samples)
             if self.keeper:
                 self.keeper.after_job()
             if time.perf_counter() > deadline:
                 return False
-        sums.ranges, sums.pending = sums.ranges + list(ranges), None
         return True

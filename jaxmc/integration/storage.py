@@ -47,15 +47,15 @@ def save(path, value) -> None:
         ValueError: something that no file can hold.
         OSError: the file cannot be written.
     """
-    path, arrays = Path(path), []
-    head = {"format": FORMAT, "version": VERSION, "content": to_plain(value, arrays)}
-    text = np.frombuffer(json.dumps(head).encode(), np.uint8)
+    path = Path(path)
     # Always by the same name: what a kill leaves behind is written over by the next.
     unfinished = path.with_name(f".{path.name}.unfinished")
     try:
         with unfinished.open("wb") as file:
-            members = {f"a{i}": x for i, x in enumerate(arrays)}
-            np.savez(file, head=text, checksum=_checksum(text, arrays), **members)
+            arrays = []
+            head = {"format": FORMAT, "version": VERSION, "content": to_plain(value, arrays)}
+            text = np.frombuffer(json.dumps(head).encode(), np.uint8)
+            np.savez(file, head=text, checksum=_checksum(text, arrays), **{f"a{i}": x for i, x in enumerate(arrays)})
             file.flush()
             os.fsync(file.fileno())
         unfinished.replace(path)
@@ -63,6 +63,30 @@ def save(path, value) -> None:
         unfinished.unlink(missing_ok=True)
         raise
     _sync_folder(path.parent)
+
+
+def to_bytes(value) -> bytes:
+    """Return an object as bytes for another process, without a checksum; ``from_bytes`` reads them."""
+    arrays = []
+    content = to_plain(value, arrays)
+    head = json.dumps({"content": content, "arrays": [[x.dtype.str, x.shape] for x in arrays]}).encode()
+    return b"".join([len(head).to_bytes(8, "little"), head, *(np.ascontiguousarray(x).data for x in arrays)])
+
+
+def from_bytes(content: bytes) -> Any:
+    """Return the object that ``to_bytes`` was given."""
+    start = 8 + int.from_bytes(content[:8], "little")
+    head, arrays, room = json.loads(content[8:start]), [], bytearray(content)
+    for name, shape in head["arrays"]:
+        dtype, count = np.dtype(name), math.prod(shape)
+        arrays.append(np.frombuffer(room, dtype, count, start).reshape(shape))
+        start += count * dtype.itemsize
+    return from_plain(head["content"], arrays)
+
+
+def is_storable(value) -> bool:
+    """Return whether an object's class was made ``storable``, so that what it makes can be part of files."""
+    return _classes.get(type(value).__name__) is type(value)
 
 
 def load(path) -> Any:
@@ -155,13 +179,36 @@ def to_plain(value, arrays=None):
             if not all(isinstance(key, str) for key in x):
                 raise ValueError(f"a dictionary in a file has words as keys, got {list(x)}")
             return {"dict": {key: plain(one) for key, one in x.items()}}
-        if type(x).__name__ in _classes and _classes[type(x).__name__] is type(x):
+        if is_storable(x):
             return {"class": type(x).__name__, "fields": {name: plain(one) for name, one in _fields(x).items()}}
         if isinstance(x, tuple):
             return {"tuple": [plain(one) for one in x]}
         return {"name": x.name if isinstance(x, NotStored) else name_of(x)}
 
     return plain(value)
+
+
+def fits(value, like) -> bool:
+    """Return whether an object has the types and shapes of another one inside.
+
+    Where that has an empty list of numbers there may be a longer one, and where it has None, a whole number.
+    """
+    arrays, others = [], []
+    plain, model = to_plain(value, arrays), to_plain(like, others)
+
+    def same(a, b):
+        if isinstance(b, dict) and "float" not in b:
+            return isinstance(a, dict) and a.keys() == b.keys() and all(same(a[key], b[key]) for key in b)
+        if isinstance(b, list):
+            return isinstance(a, list) and len(a) == len(b) and all(map(same, a, b))
+        if isinstance(b, dict):
+            return isinstance(a, dict) and "float" in a
+        return (b is None and isinstance(a, int)) or (type(a) is type(b) and (isinstance(b, int) or a == b))
+
+    return same(plain, model) and all(
+        x.dtype == y.dtype and (x.shape == y.shape or (x.ndim == 1 and y.shape == (0,)))
+        for x, y in zip(arrays, others, strict=True)
+    )
 
 
 def name_of(x) -> str:

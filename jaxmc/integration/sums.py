@@ -7,9 +7,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from .counts import is_count
 from .estimate import Estimate
 from .moments import MomentsResult, Replicates, pool
-from .storage import NotStored, storable
+from .storage import NotStored, fits, is_storable, storable
 
 
 @storable
@@ -25,6 +26,7 @@ class Sums:
         ranges: the samples that are in the states, as (replicate, start, stop).
         pending: of the samples under way, their ranges and how many blocks of them are in the states; or None.
         looks, goal: of a run towards a target, its looks so far and the n of the one under way.
+        moments: what is left of the sums of mean and error where these were not kept, see ``bands``; or None.
         recipe: what decides the values of the samples, see ``recipes``; None unless it was asked for.
         chosen: numbers of the integrals, for a part of a family; None for all.
         view: shapes an estimate, such as that of an image; or None.
@@ -32,13 +34,16 @@ class Sums:
         finished: whether all samples are in it; result: the estimate of a run towards a target, or None.
     """
 
+    moments: Any = None  # never part of a file
+
     def __init__(self, tallies, items=None, replicates=None, chosen=None, view=None, about=None):
         self.tallies, self.items, self.replicates, self.chosen, self.view = tallies, items, replicates, chosen, view
         self.about: dict[str, Any] = about or {}
         self.recipe: Any = None
         self.states: dict[str, Any] = {}
         self.structure, self.first, self.points, self.drawn, self.ranges = None, 0, 0, 0, []
-        self.pending, self.looks, self.goal = None, [], None
+        self.looks, self.goal = [], None
+        self.pending: Any = None
         self.seconds, self.finished, self.result = 0.0, False, None
 
     @property
@@ -46,9 +51,48 @@ class Sums:
         """Samples of each integral so far."""
         return self.drawn // (self.items or 1)
 
+    @property
+    def divisible(self):
+        """Whether the integrals of the family can be divided, and put together again, without a change of a bit."""
+        return all(is_storable(t) and (not t.pooled or getattr(t, "exact", False)) for t in self.tallies.values())
+
+    def some(self, chosen):
+        """Return sums without samples for some of the integrals."""
+        some = Sums(self.tallies, len(chosen), self.replicates, chosen)
+        some.first, some.points = self.first, self.points
+        return some
+
+    def check(self, empty, most):
+        """Raise an exception of some kind if this is not what an ``empty`` one, without samples, could have become when
+        it got so many samples of each integral at ``most``."""
+        ranges, done = self.pending or ([], 0)
+        ranges = [*ranges, *self.ranges]
+        whole = all(is_count(x, least=0) for x in [done, self.drawn, self.first, self.points, *sum(ranges, ())])
+        if not whole or sum(stop - start for _, start, stop in ranges) > most or any(b < a for _, a, b in ranges):
+            raise ValueError("counts samples in another way")
+        result = self.result is None or (self.finished and isinstance(self.result, Estimate))
+        if not (result and isinstance(self.seconds, float) and isinstance(self.looks, list)):
+            raise ValueError("has no times, or another result")
+        if not self.finished and self.states and not fits(self.states, empty.states):
+            raise ValueError("holds other sums than it says")
+        if (self.items, self.replicates) != (empty.items, empty.replicates):
+            raise ValueError("holds other integrals than it says")
+        self.structure = empty.structure
+        if self.finished or (self.states and not self.replicates):
+            self.estimate()
+
     def forget(self):
         """Drop all samples."""
-        self.states, self.drawn, self.ranges = {}, 0, []
+        self.states, self.drawn, self.ranges, self.moments = {}, 0, [], None
+
+    def has_added(self, blocks):
+        """Say that so many more blocks of the pending samples are in the states."""
+        ranges, done = self.pending
+        self.pending = ranges, done + blocks
+
+    def end_pending(self):
+        """Say that all of the pending samples are in the states."""
+        self.ranges, self.pending = self.ranges + list(self.pending[0]), None
 
     def begin(self, records, example):
         """Make empty states for records of this structure, unless there are some."""
@@ -110,9 +154,9 @@ class Sums:
             name = unknown[0]
             raise ValueError(f"the tally {name!r}, {self.tallies[name].name}, is none of jaxmc's own: make it anew")
         complete = self.drawn // (self.points * (self.items or 1)) if self.replicates else 1
-        if not (complete and self.states):
+        if not ((complete and self.states) or self.moments):
             raise ValueError("there is no estimate yet: too few samples were drawn")
-        moments, between, means = self._moments()
+        moments, between, means = self.finish()
         results = {name: t.result(self.states[name]) for name, t in self.tallies.items() if name != "moments"}
         n = complete * self.points if self.replicates else self.n
         recipe = {**self.about, "n": n}
@@ -124,8 +168,10 @@ class Sums:
         )  # fmt: skip
         return self.view.shaped(estimate, self.chosen) if self.view else estimate
 
-    def _moments(self):
+    def finish(self):
         """Return the moments of all samples, and moments and values of the means of the replicates."""
+        if self.moments is not None:
+            return self.moments
         state = self.states["moments"]
         if isinstance(state, Replicates):
             return *state.finish(self.drawn % (self.points * self.items) == 0), None

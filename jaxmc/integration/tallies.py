@@ -5,7 +5,8 @@ host in float64 (``init``, ``add``, ``merge``, ``result``, in NumPy). Records ar
 integer arithmetic, so a result does not depend on how the work was cut.
 
 A block has two sample axes, rows and lanes. One integral sums over both; a family of integrals (an image, with one
-integral for each pixel) sums over rows and keeps the lanes, see ``axes``.
+integral for each pixel) sums over rows and keeps the lanes, see ``axes``. A tally that is ``pooled`` keeps one state
+for all integrals of a family; it is ``exact`` where merged states have the same bits however samples were divided.
 """
 
 import dataclasses
@@ -18,7 +19,7 @@ import numpy as np
 from jax import lax
 
 from .counts import is_count
-from .moments import apply, block_sum
+from .moments import apply, block_sum, per_sample
 from .storage import storable
 
 BINS_PER_OCTAVE = 8
@@ -57,7 +58,7 @@ class TailHistogram:
     """
 
     of: Callable[[Any], Any] | None = None
-    pooled = True
+    pooled = exact = True
 
     def reduce(self, values, valid, axes):
         c = _scalar(self, values).astype(jnp.float32)
@@ -69,11 +70,12 @@ class TailHistogram:
         rho = rest.astype(jnp.float32) * 2.0**-BIN_BITS
         square = jnp.minimum(jnp.round(rho * rho * 2.0**BIN_BITS), 2.0**BIN_BITS - 1).astype(jnp.uint32)
         rows, lanes = c.shape
-        cell_rows = CELL // lanes
-        cell = jnp.arange(rows)[:, None] // cell_rows
+        # A cell is a few rows, or a piece of a row that is wider than a cell.
+        cell_rows, pieces = max(1, CELL // lanes), -(-lanes // CELL)
+        cell = jnp.arange(rows)[:, None] // cell_rows * pieces + jnp.arange(lanes) // CELL
         # Send what is not kept to a spare bin behind the last one.
         bin_index = jnp.where(keep, (bits >> BIN_BITS) & 0x7FF, BINS).astype(jnp.int32) + cell * (BINS + 1)
-        cells = -(-rows // cell_rows)
+        cells = -(-rows // cell_rows) * pieces
 
         def add_up(x):
             sums = jax.ops.segment_sum(x.ravel(), bin_index.ravel(), cells * (BINS + 1))
@@ -134,7 +136,7 @@ class TopSamples:
 
     k: int = 4096
     of: Callable[[Any], Any] | None = None
-    pooled = True
+    pooled = exact = True
 
     def __post_init__(self):
         if not is_count(self.k):
@@ -186,7 +188,7 @@ def _scalar(tally, values):
 @storable
 class ClampSums(NamedTuple):
     """Means over the samples at each threshold t, shape ``(thresholds, items...)``: of min(c, t) and (c - t)+ and of
-    their squares."""
+    their squares. ``n`` is the number of samples of each integral; of an unfinished run, the largest one."""
 
     thresholds: np.ndarray
     n: int
@@ -235,6 +237,5 @@ class ClampLadder:
         return {k: a[k] + b[k] for k in a}
 
     def result(self, state):
-        n = int(np.max(state["n"]))
-        means = np.moveaxis(state["sums"] / n, (-2, -1), (1, 0))
-        return ClampSums(np.array(self.thresholds), n, *means)
+        means = np.moveaxis(per_sample(state["sums"], np.asarray(state["n"])), (-2, -1), (1, 0))
+        return ClampSums(np.array(self.thresholds), int(np.max(state["n"])), *means)

@@ -71,6 +71,10 @@ class Unplaced:
     def pooled(self):
         return self.tally.pooled
 
+    @property
+    def exact(self):
+        return getattr(self.tally, "exact", False)
+
     def reduce(self, values, valid, axes):
         light = values.light
         return self.tally.reduce(light[0] if len(light) == 1 else jnp.stack(light, -1), valid, axes)

@@ -15,6 +15,7 @@ from ..integration.integrand import Integrand
 from ..integration.moments import Moments, MomentsResult
 from ..integration.parts import part
 from ..integration.passes import integrate_each_in_passes
+from ..integration.run import check_tallies
 from ..integration.samplers import Independent
 from ..integration.schedules import integrate_progressively
 from ..integration.storage import storable
@@ -123,6 +124,7 @@ class Image(NamedTuple):
 
     @classmethod
     def of(cls, scene, camera, filter, tallies, **options) -> "Image":
+        check_tallies(tallies)
         integrand, kept, seen = path_integrand(scene, camera, **options), Moments(order=2), tallies
         if filter is not None:
             integrand, kept, seen = on_film(integrand, filter, camera, tallies)
