@@ -65,7 +65,6 @@ def apply(of, values):
     return values if of is None else of(values)
 
 
-<<<<<<< HEAD
 def _cut(record, shapes):
     """Return the parts of a record of numbers side by side that belong to arrays of these shapes."""
     stops = np.cumsum([math.prod(shape) for shape in shapes])
@@ -74,7 +73,8 @@ def _cut(record, shapes):
         return x[..., stop - math.prod(shape) : stop].reshape(*x.shape[:-1], *shape)
 
     return [jax.tree.map(partial(part, shape, stop), record) for shape, stop in zip(shapes, stops)]
-=======
+
+
 def per_sample(sums, n):
     """Return sums divided by the number of samples of each integral, whose axes come first; NaN where there are none.
 
@@ -82,7 +82,6 @@ def per_sample(sums, n):
     """
     with np.errstate(all="ignore"):
         return sums / n.reshape(n.shape + (1,) * (sums.ndim - n.ndim))
->>>>>>> runs7
 
 
 def _reduce_moments(x, valid, axes, order):
