@@ -3,8 +3,9 @@
     python benchmarks/gradient_cost.py [--rounds 7] [--n 4194304]
 
 Times are those of the mean of the image alone, of its interior derivative in reverse mode, of the same by one number in
-forward mode, and of the boundary; alternating in one run, medians. For the boundary the variance of one sample is given
-beside that of the interior. Memory is what XLA plans for one kernel call. All of it is in
+forward mode, and of the boundary; alternating in one run, medians. For the boundary the time of a sample is given
+beside its variance and that of the interior, averaged over parameters in units of the squared derivative. Memory is
+what XLA plans for a sweep, by the growth with the number of events. All of it is in
 ``benchmarks/results/gradient_cost.json``.
 """
 
@@ -12,17 +13,23 @@ import argparse
 import dataclasses
 import os
 import time
+from functools import partial
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jaxmc as mc
 from jaxmc import scenes
+from jaxmc.backend import KERNEL_OPTIONS
 from jaxmc.gradients.derivative import derivatives
+from jaxmc.integration.kernel import TOGETHER, mean_of_row
+from jaxmc.integration.samplers import Index, seed_words
 from jaxmc.report import machine, versions, write_json
 
 BOUNCES = 5
+DEPTHS = (4, 8), (12, 24)
 RESULTS = Path(__file__).parent / "results" / "gradient_cost.json"
 PARTS = scenes.cornell_box_parts()
 
@@ -75,13 +82,44 @@ def main():
         "numbers": int(sum(x.size for x in jax.tree.leaves(params))), "n": options.n, "bounces": BOUNCES,
         "seconds": median, "times": times, "of_the_value": {name: t / median["value"] for name, t in median.items()},
     }  # fmt: skip
+    found["bytes"] = {f"{a} to {b} events": bytes_per_event(params, a, b) for a, b in DEPTHS}
+    found["variance"] = spread(whole)
     for name, ratio in found["of_the_value"].items():
         print(f"{name:22s} {median[name]:7.3f} s  {ratio:.2f} of the value", flush=True)
+    print("bytes of a path and event:", found["bytes"], "variances:", found["variance"], flush=True)
     write_json(options.out, found | {"machine": machine(), "versions": versions(), "load": os.getloadavg()})
 
 
-def with_green(scene_and_camera):
-    made = mc.moving_paths(*scene_and_camera, bounces=BOUNCES)
+def bytes_per_event(params, a, b):
+    """Return the memory that a path and event of a sweep takes, by the plans for ``a`` and ``b`` events."""
+
+    def planned(bounces):
+        swept = derivatives(lambda p: with_green(make(p), bounces), params, "reverse", together=True).interior
+        point, low = partial(mc.Independent().point, seed_words(0)), jnp.arange(TOGETHER, dtype=jnp.uint32)
+
+        def sweep(*params):
+            integrand = dataclasses.replace(swept, params=params)
+            rows = jnp.arange(4, dtype=jnp.uint32)
+            return jax.lax.map(lambda k: mean_of_row(integrand, point, Index(low * 0 + k, low), Index(0, 0)), rows)
+
+        compiled = jax.jit(sweep, compiler_options=KERNEL_OPTIONS).lower(*swept.params).compile()
+        return compiled.memory_analysis().temp_size_in_bytes
+
+    return (planned(b) - planned(a)) / (TOGETHER * (b - a))
+
+
+def spread(whole, n=1 << 20):
+    """Return variances of one sample of both parts, over the squared norm of the whole derivative."""
+    found = [mc.integrate(part, n=n, key=1) for part in (whole.interior, whole.boundary)]
+    means, errors = ([np.concatenate([np.ravel(x) for x in jax.tree.leaves(t)]) for t in trees] for trees in (
+        [f.mean for f in found], [f.stderr for f in found]
+    ))  # fmt: skip
+    size = float(np.sum((means[0] + means[1]) ** 2))
+    return {name: float(n * np.sum(e**2) / size) for name, e in zip(("interior", "boundary"), errors)}
+
+
+def with_green(scene_and_camera, bounces=BOUNCES):
+    made = mc.moving_paths(*scene_and_camera, bounces=bounces)
     return made._replace(interior=made.interior.map(green), boundary=made.boundary.map(green))
 
 

@@ -1,6 +1,6 @@
 """Derivatives of the Cornell box: jaxmc against Mitsuba 3, on the same integral, cores and number of paths.
 
-    python benchmarks/gradient_race.py [--rounds 5] [--spp 64] [--seeds 8] [--peers .venv-peers/bin/python]
+    python benchmarks/gradient_race.py [--rounds 5] [--spp 64] [--edge-spp 8] [--seeds 8] [--peers .venv-peers/bin/python]
 
 Everything: the derivatives of the mean of the image by all colours, the lamp and all places, of paths without edges, in
 reverse mode: Mitsuba's ``prb``. What is timed makes as many paths on both sides; runs alternate, times are medians.
@@ -120,9 +120,9 @@ def edges(peer, options):
     def make(distance):
         return moving(shifted(params, distance))
 
-    n = options.spp * SIZE * SIZE
-    scene = describe(mc.Scene(PARTS.primitives), camera(), options.spp, BOUNCES)
-    message = {"scene": scene, "shape": f"primitive_{SPHERE}", "direction": ALONG, "spp": options.spp}
+    n = options.edge_spp * SIZE * SIZE
+    scene = describe(mc.Scene(PARTS.primitives), camera(), options.edge_spp, BOUNCES)
+    message = {"scene": scene, "shape": f"primitive_{SPHERE}", "direction": ALONG, "spp": options.edge_spp}
     message["integrator"] = integrator("prb_projective")
     slopes: dict = {"jaxmc": [], "prb_projective": []}
     times: dict = {"jaxmc": [], "prb_projective": []}
@@ -148,7 +148,13 @@ def edges(peer, options):
 
 def main():
     options = arguments()
-    found: dict = {"bounces": BOUNCES, "size": SIZE, "spp": options.spp, "seeds": options.seeds}
+    found: dict = {
+        "bounces": BOUNCES,
+        "size": SIZE,
+        "spp": options.spp,
+        "edge_spp": options.edge_spp,
+        "seeds": options.seeds,
+    }
     with Peer(options.peers, "llvm_ad_rgb", SERVER) as peer:
         found["everything"] = everything(peer, options)
         print({k: v for k, v in found["everything"].items() if k != "times"}, flush=True)
@@ -162,6 +168,7 @@ def arguments():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=5, help="runs of each that are timed")
     parser.add_argument("--spp", type=int, default=64, help="paths per pixel of a 64 x 64 image")
+    parser.add_argument("--edge-spp", type=int, default=8, help="the same where edges move")
     parser.add_argument("--seeds", type=int, default=8, help="runs from whose spread the variance at edges comes")
     parser.add_argument("--peers", type=Path, default=ROOT / ".venv-peers/bin/python", help="the Python with Mitsuba")
     parser.add_argument("--out", type=Path, default=RESULTS, help="the file of results")
