@@ -1,6 +1,6 @@
 """Derivatives of the Cornell box: jaxmc against Mitsuba 3, on the same integral, cores and number of paths.
 
-    python benchmarks/gradient_race.py [--rounds 5] [--spp 64] [--edge-spp 8] [--seeds 8] [--peers .venv-peers/bin/python]
+    python benchmarks/gradient_race.py [--rounds 5] [--spp 256] [--edge-spp 16] [--seeds 6] [--peers PYTHON]
 
 Everything: the derivatives of the mean of the image by all colours, the lamp and all places, of paths without edges, in
 reverse mode: Mitsuba's ``prb``. What is timed makes as many paths on both sides; runs alternate, times are medians.
@@ -78,11 +78,10 @@ def everything(peer, options):
                 times[name].append(seconds)
             ours.append(colours_of(found.mean))
             theirs.append(answer["gradient"])
-    peer.about = {"mitsuba": answer["mitsuba"]}
     median = {name: float(np.median(t)) for name, t in times.items()}
     return {
         "paths": n, "seconds": median, "times": times, "faster": median["prb"] / median["jaxmc"],
-        "derivatives": agreement(ours, theirs),
+        "derivatives": agreement(ours, theirs), "mitsuba": answer["mitsuba"],
     }  # fmt: skip
 
 
@@ -158,18 +157,18 @@ def main():
     with Peer(options.peers, "llvm_ad_rgb", SERVER) as peer:
         found["everything"] = everything(peer, options)
         print({k: v for k, v in found["everything"].items() if k != "times"}, flush=True)
+    with Peer(options.peers, "llvm_ad_rgb", SERVER) as peer:
         found["edges"] = edges(peer, options)
         print(found["edges"], flush=True)
-        found["mitsuba"] = peer.about["mitsuba"]
     write_json(options.out, found | {"machine": machine(), "versions": versions(), "load": os.getloadavg()})
 
 
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=5, help="runs of each that are timed")
-    parser.add_argument("--spp", type=int, default=64, help="paths per pixel of a 64 x 64 image")
-    parser.add_argument("--edge-spp", type=int, default=8, help="the same where edges move")
-    parser.add_argument("--seeds", type=int, default=8, help="runs from whose spread the variance at edges comes")
+    parser.add_argument("--spp", type=int, default=256, help="paths per pixel of a 64 x 64 image")
+    parser.add_argument("--edge-spp", type=int, default=16, help="the same where edges move")
+    parser.add_argument("--seeds", type=int, default=6, help="runs from whose spread the variance at edges comes")
     parser.add_argument("--peers", type=Path, default=ROOT / ".venv-peers/bin/python", help="the Python with Mitsuba")
     parser.add_argument("--out", type=Path, default=RESULTS, help="the file of results")
     return parser.parse_args()
