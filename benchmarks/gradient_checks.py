@@ -1,6 +1,6 @@
 """Whole derivatives of images of random scenes, checked against differences with common random numbers.
 
-    python benchmarks/gradient_checks.py [--scenes 12] [--n 16777216]
+    python benchmarks/gradient_checks.py [--scenes 12] [--first 0] [--n 16777216]
 
 Each scene has a floor, a wall that may be a mirror, a lamp, a box, a ball and a sheet at random places. Five numbers
 move: the lamp, the box, the ball, an albedo and the camera. ``mc.gradcheck`` says whether the derivative of the mean of
@@ -8,6 +8,7 @@ the image is biased, and which bias it would have found. All of it is in ``bench
 """
 
 import argparse
+import json
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -61,7 +62,9 @@ def random_scene(number):
 def main():
     options = arguments()
     found: dict = {"n": options.n, "steps": STEPS, "bounces": options.bounces, "scenes": []}
-    for number in range(options.scenes):
+    if options.first:
+        found["scenes"] = json.loads(options.out.read_text())["scenes"][: options.first]
+    for number in range(options.first, options.scenes):
         params, make = random_scene(number)
 
         def moving(p, make=make):
@@ -91,6 +94,7 @@ def main():
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=12)
+    parser.add_argument("--first", type=int, default=0, help="go on after so many, which the file has")
     parser.add_argument("--n", type=int, default=1 << 24, help="samples of the interior and of the differences")
     parser.add_argument("--bounces", type=int, default=2)
     parser.add_argument("--out", type=Path, default=RESULTS, help="the file of results")

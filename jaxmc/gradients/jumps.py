@@ -104,7 +104,7 @@ def of_vertex_in_mirror(world: World, found: Silhouettes, strategy, vertex: Vert
         used = used & is_free(world, found, surface.point, wi, least, surface.face, face)
         pinned = flow(world.values.faces.at(face), vertex.moving.point, wi, jnp.where(used, least, 1.0)).wi
         still_vertex = jax.tree.map(still, vertex)
-        value = still(evaluate(world, strategy, still_vertex, wi)[0]) * (1.0 / jnp.pi)
+        value = still(evaluate(world, strategy, still_vertex, wi)) * (1.0 / jnp.pi)
         return Given(
             used, _reflected(world, face, pinned), still(vertex.beta) * at(rest.reflectance, face) * value, least
         )

@@ -106,7 +106,7 @@ def draws(vertex: Vertex):
 def weighted(world, vertex: Vertex, strategy, place, density, used, light, h):
     """Return -f L cos(theta) h over the density of the place: 0, with the derivative of h."""
     rest = jax.tree.map(still, vertex)
-    value = still(evaluate(world, strategy, rest, place.wi)[0]) * (1.0 / jnp.pi)
+    value = still(evaluate(world, strategy, rest, place.wi)) * (1.0 / jnp.pi)
     weight = jnp.where(used, -place.stretch / jnp.where(used, density, 1.0), 0.0)
     brought = still(rest.beta * light * value) * (weight * motion(h))
     return where(used, brought, black(world.rest))

@@ -93,12 +93,11 @@ def _vertex(world, surface, walk):
 
 
 def evaluate(world: World, strategy, vertex: Vertex, wi: Vec3):
-    """Return pi times BRDF times cosine of a direction in motion, reflectance left out, and its density at rest."""
+    """Return pi times BRDF times cosine of a direction in motion, reflectance left out."""
     cosine = dot(vertex.moving.normal, wi)
-    value, pdf = evaluate_bsdf(
+    return evaluate_bsdf(
         world.moving, strategy.directions, vertex.moving, vertex.moving_kinds, vertex.arriving, wi, cosine
-    )
-    return value, still(pdf), still(cosine)
+    )[0]
 
 
 class Found(NamedTuple):
@@ -196,7 +195,7 @@ def _move(world, strategy, vertex: Vertex, found: Found) -> tuple[Walk, Any]:
     if strategy.lights != "none" and rest.lights:
         row, own = world.lights.at(found.face), found.face == vertex.surface.face
         moved = flow(row.face, vertex.moving.point, found.light, found.distance, own, has_flat_lights(rest))
-        value, _, _ = evaluate(world, strategy, vertex, moved.wi)
+        value = evaluate(world, strategy, vertex, moved.wi)
         brought = vertex.beta * row.emission * (value * (moved.ratio * found.brings))
         gained = where(found.face >= 0, brought, gained)
     row, hit = world.rows.at(found.hit.face), found.hit
@@ -217,9 +216,9 @@ def _moved(world, strategy, vertex, found, face):
     distance = distance_to(found.hit)
     pinned = flow(face, vertex.moving.point, found.wi, distance, own, world.rest.inverse_radius is None)
     wi = where(free, found.wi, pinned.wi)
-    value, _, cosine = evaluate(world, strategy, vertex, wi)
+    value, leaves = evaluate(world, strategy, vertex, wi), dot(vertex.surface.normal, found.wi) > 0.0
     # What is not used must not turn derivatives to NaN.
-    change = jax.tree.map(lambda v: ratio(jnp.where(cosine > 0.0, v, 1.0)), value)
+    change = jax.tree.map(lambda v: ratio(jnp.where(leaves, v, 1.0)), value)
     change = change * jnp.where(free, 1.0, pinned.ratio)
     point = pinned.point
     if vertex.kinds.specular is not None:
