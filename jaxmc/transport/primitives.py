@@ -221,7 +221,10 @@ def as_color(name: str, value, signed: bool = False) -> tuple:
     if not is_concrete(value):
         return (value,) * 3 if shape == () else tuple(value[k] for k in range(3))
     color = np.broadcast_to(_numbers(name, value), 3)
-    if not (np.isfinite(color).all() and (signed or (color >= 0.0).all())):
+    # What overflows in the precision of kernels is infinite there.
+    with np.errstate(over="ignore"):
+        kept = color.astype(jax.dtypes.canonicalize_dtype(float))
+    if not (np.isfinite(kept).all() and (signed or (color >= 0.0).all())):
         raise ValueError(f"{name} must be finite{'' if signed else ' and not negative'}, got {value!r}")
     return tuple(float(c) for c in color)
 
