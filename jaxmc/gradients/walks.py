@@ -64,7 +64,7 @@ def start(world: World, wo: Ray, wi: Vec3, origin: Vec3) -> tuple[Walk, Any]:
     walk = _met(Walk(wo, hit, None, None, None, wi, one), row, carried(row.face, origin, wi, distance))
     met = black(rest)
     if rest.lights:
-        met = row.emission * emission_toward(world.shares, wo, hit)
+        met = world.emission.at(hit.face) * emission_toward(world.shares, wo, hit)
     if rest.sky is not None:
         met = met + where(hit.face < 0, sky_radiance(world.values.sky, wi), black(rest))
     return walk, met
@@ -123,13 +123,13 @@ def scatter(world: World, strategy, u, first, walk: Walk, event) -> tuple[Walk, 
     found = _find(world._replace(rest=rest), strategy, u, first, surface, walk.ray.direction, beta, event)
 
     def move(tables, walk, found):
-        (rows, lights), found = _each_time((tables, found))
-        here = world._replace(rows=rows, lights=lights)
+        (rows, lights, emission), _ = _each_time((tables, event))
+        here = world._replace(rows=rows, lights=lights, emission=emission)
         return _move(here, strategy, _vertex(here, surface, walk), found)
 
     # A sweep back keeps what was found, and does again what follows from it.
     again = partial(jax.checkpoint, prevent_cse=False) if sweeps.get() else partial
-    return again(move)((world.rows, world.lights), walk, found)
+    return again(move)((world.rows, world.lights, world.emission), walk, found)
 
 
 def _each_time(tree):
@@ -205,7 +205,7 @@ def _move(world, strategy, vertex: Vertex, found: Found) -> tuple[Walk, Any]:
         met = (vertex.surface.face >= 0) & (hit.face < 0)
         gained = gained + where(met, beta * sky_radiance(world.values.sky, wi), black(rest))
     if rest.lights and not (strategy.lights == "nee" and vertex.kinds.specular is None):
-        gained = gained + beta * (row.emission * found.share)
+        gained = gained + beta * (world.emission.at(hit.face) * found.share)
     walk = Walk(ray(vertex.surface.point, found.wi), hit, None, None, None, wi, beta)
     return _met(walk, row, point), gained
 

@@ -47,14 +47,20 @@ class Row(NamedTuple):
     """What a face is, in motion."""
 
     face: Faces
-    emission: Any
     reflectance: Any
+
+
+class LightRow(NamedTuple):
+    """What a face that emits is, in motion."""
+
+    face: Faces
+    emission: Any
 
 
 class World(NamedTuple):
     """A scene at rest with all that is known of it, its values in motion, and a scene that has these values where
-    surfaces look up their materials; ``shares`` is the scene at rest with lights of radiance 1; ``rows`` and
-    ``lights`` have the values of all faces and of those that emit, to look up those of one.
+    surfaces look up their materials; ``shares`` is the scene at rest with lights of radiance 1; the tables have
+    ``Row`` of all faces, and ``LightRow`` and emission of those that emit, to look up those of one.
     """
 
     rest: Scene
@@ -63,6 +69,7 @@ class World(NamedTuple):
     shares: Scene
     rows: Table
     lights: Table
+    emission: Table
 
 
 def values_of(scene: Scene, place) -> Values:
@@ -109,6 +116,8 @@ def world(rest: Scene, at_rest: Values, values: Values) -> World:
             group._replace(radiance=jnp.ones_like(jax.tree.leaves(group.radiance)[0])) for group in rest.emitters
         )
     shares.channels = 1
-    rows = Row(values.faces, values.emission, values.reflectance)
-    lights = table(rows._replace(reflectance=()), rest.lights) if rest.lights else None
-    return World(rest, values, moving, shares, table(rows), lights)
+    rows = table(Row(values.faces, values.reflectance))
+    if not rest.lights:
+        return World(rest, values, moving, shares, rows, None, None)
+    lights = table(LightRow(values.faces, values.emission), rest.lights)
+    return World(rest, values, moving, shares, rows, lights, table(values.emission, rest.lights))
