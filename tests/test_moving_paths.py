@@ -31,8 +31,8 @@ def made(scene):
 def check(found, exact, share=0.01, grain=1e-4):
     """Within 6 standard errors of 16 replicates, these below a share of the largest component.
 
-    Points that fill a line evenly resolve the end of an edge to one of 4096 points, which is ``grain``; replicates may
-    all be off by the same then.
+    Points that fill a line evenly resolve the end of an edge to one of so many, 16384 with 2^18 samples; where that is
+    nearly a whole number of them all replicates may be off by the same, which is ``grain``.
     """
     largest = max(np.max(np.abs(truth)) for truth in exact.values())
     for name, truth in exact.items():
@@ -46,7 +46,7 @@ def check(found, exact, share=0.01, grain=1e-4):
 )
 def test_every_closed_form(name):
     scene = BY_NAME[name]
-    found = mc.grad_integrate(made(scene), scene.params, n=1 << 16, sampler=mc.Sobol())
+    found = mc.grad_integrate(made(scene), scene.params, n=1 << 18, sampler=mc.Sobol())
     check(found, scene.truth()[1])
     assert found.nonfinite == 0
 
