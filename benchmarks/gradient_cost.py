@@ -100,7 +100,9 @@ def bytes_per_event(params, a, b):
         def sweep(*params):
             integrand = dataclasses.replace(swept, params=params)
             rows = jnp.arange(4, dtype=jnp.uint32)
-            return jax.lax.map(lambda k: mean_of_row(integrand, point, Index(low * 0 + k, low), Index(0, 0)), rows)
+            return jax.lax.map(
+                lambda k: mean_of_row(integrand, point, Index(jnp.full_like(low, k), low), Index(0, 0)), rows
+            )
 
         compiled = jax.jit(sweep, compiler_options=KERNEL_OPTIONS).lower(*swept.params).compile()
         return compiled.memory_analysis().temp_size_in_bytes

@@ -253,11 +253,16 @@ OPTIONS = {
 }  # fmt: skip
 
 
+def some_of(options, choose, most, **usual):
+    """Return the usual options, up to so many of them others, or others besides."""
+    names = choose.sample(list(options), choose.randint(1, most))
+    return usual | {name: choose.choice(options[name]) for name in names}
+
+
 @fuzzed(80)
 def test_options_of_integrate(seed):
     choose = random.Random(seed)
-    names = choose.sample(list(OPTIONS), choose.randint(1, 4))
-    options = {"dim": 2, "n": 10} | {name: choose.choice(OPTIONS[name]) for name in names}
+    options = some_of(OPTIONS, choose, 4, dim=2, n=10)
     try:
         found = mc.integrate(function, **options)
     except ValueError as error:
@@ -298,8 +303,7 @@ def nothing_drawn(monkeypatch):
 @fuzzed(60)
 def test_options_of_render(seed):
     choose = random.Random(seed)
-    names = choose.sample(list(PATHS), choose.randint(1, 2))
-    options = {"spp": 2, "bounces": 1} | {name: choose.choice(PATHS[name]) for name in names}
+    options = some_of(PATHS, choose, 2, spp=2, bounces=1)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # there are no samples

@@ -68,15 +68,15 @@ class Table:
         here = jnp.asarray(self.faces) == face
         if self.matrix is None:
             return jax.tree.map(lambda x: jnp.sum(jnp.where(here, x, 0.0)), self.rows)
-        value = [self._chosen(face, x) for x in self.numbers]
+        value = [self._chosen(face, here, x) for x in self.numbers]
         moving = self.matrix @ here.astype(self.matrix.dtype)
         # A split is put together again on the way back, where slices would be added up.
         moving = [x[0] for x in jax.lax.split(moving, [1] * len(value))]
         return jax.tree.unflatten(jax.tree.structure(self.rows), attach(value, moving))
 
-    def _chosen(self, face, x):
+    def _chosen(self, face, here, x):
         if not isinstance(x, tuple):
-            return jnp.sum(jnp.where(jnp.asarray(self.faces) == face, x, 0.0))
+            return jnp.sum(jnp.where(here, x, 0.0))
         value = x[0]
         for i, number in zip(self.faces[1:], x[1:]):
             value = jnp.where(face == i, number, value)
@@ -85,8 +85,11 @@ class Table:
 
 def table(tree, faces=None) -> Table:
     """Return arrays over faces, to look up those of one of ``faces``; of any without."""
-    faces = tuple(range(len(jax.tree.leaves(tree)[0]))) if faces is None else faces
-    tree = jax.tree.map(lambda x: jnp.asarray(x, float)[np.array(faces)], tree)
+    tree = jax.tree.map(partial(jnp.asarray, dtype=float), tree)
+    if faces is None:
+        faces = tuple(range(len(jax.tree.leaves(tree)[0])))
+    else:
+        tree = jax.tree.map(lambda x: x[np.array(faces)], tree)
     if not sweeps.get():
         return Table(tree, faces)
     leaves, few = jax.tree.leaves(tree), len(faces) <= SELECT_LIMIT

@@ -127,9 +127,10 @@ def scatter(world: World, strategy, u, first, walk: Walk, event) -> tuple[Walk, 
         here = world._replace(rows=rows, lights=lights, emission=emission)
         return _move(here, strategy, _vertex(here, surface, walk), found)
 
-    # A sweep back keeps what was found, and does again what follows from it.
-    again = partial(jax.checkpoint, prevent_cse=False) if sweeps.get() else partial
-    return again(move)((world.rows, world.lights, world.emission), walk, found)
+    if sweeps.get():
+        # Keep what was found, and do again on the way back what follows from it.
+        move = jax.checkpoint(move, prevent_cse=False)
+    return move((world.rows, world.lights, world.emission), walk, found)
 
 
 def _each_time(tree):
@@ -216,9 +217,9 @@ def _moved(world, strategy, vertex, found, face):
     distance = distance_to(found.hit)
     pinned = flow(face, vertex.moving.point, found.wi, distance, own, world.rest.inverse_radius is None)
     wi = where(free, found.wi, pinned.wi)
-    value, leaves = evaluate(world, strategy, vertex, wi), dot(vertex.surface.normal, found.wi) > 0.0
+    value, above = evaluate(world, strategy, vertex, wi), dot(vertex.surface.normal, found.wi) > 0.0
     # What is not used must not turn derivatives to NaN.
-    change = jax.tree.map(lambda v: ratio(jnp.where(leaves, v, 1.0)), value)
+    change = jax.tree.map(lambda v: ratio(jnp.where(above, v, 1.0)), value)
     change = change * jnp.where(free, 1.0, pinned.ratio)
     point = pinned.point
     if vertex.kinds.specular is not None:
