@@ -11,7 +11,7 @@ import two_bounce_reference
 from moving_scenes import SCENES
 
 import jaxmc as mc
-from jaxmc.gradients import boundary, walks
+from jaxmc.gradients import boundary, jumps, walks
 from jaxmc.gradients.derivative import derivatives
 
 TABLE = json.loads((Path(__file__).parent / "data" / "two_bounce.json").read_text())
@@ -75,19 +75,52 @@ def test_light_that_comes_over_one_surface_or_two(make, parts):
     assert found.interior.mean["blocker_x"] == 0.0
 
 
+def unused(view):
+    """A view of which no edge matters."""
+
+    def view_of_none(*args):
+        window, give = view(*args)
+        return window, lambda place: give(place)._replace(used=False)
+
+    return view_of_none
+
+
+def without_mirrors(view):
+    """A view in which mirrors slip no more than other faces do."""
+
+    def view_of(*args):
+        window, give = view(*args)
+        return window._replace(slip=(), creases=False), give
+
+    return view_of
+
+
+SPOILED = {
+    "film": (boundary, "of_film", unused),
+    "shadows": (boundary, "shadows", lambda real: lambda world, *args: walks.black(world.rest)),
+    "outlines": (boundary, "of_vertex", unused),
+    "edges in a mirror": (boundary, "of_vertex_in_mirror", unused),
+    "edges of a mirror": (boundary, "of_vertex", without_mirrors),
+    "mirrors behind edges": (jumps, "look_through", lambda real: lambda *args: None),
+    "samples in a mirror": (walks, "look_through", lambda real: lambda *args: None),
+}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("part", ["jump", "shadows", "outlines"])
-def test_every_part_of_the_boundary_is_needed(monkeypatch, part):
-    monkeypatch.setattr(boundary, part, lambda world, *args, **kwargs: walks.black(world.rest))
-    if part == "jump":
-        scene = BY_NAME["sphere over the film's edge"]
-        found = mc.grad_integrate(lambda p: made(scene)(p), scene.params, n=1 << 14, sampler=mc.Sobol())
-        exact = scene.truth()[1]
-    else:
+@pytest.mark.parametrize("part", SPOILED)
+def test_every_part_is_needed(monkeypatch, part):
+    where, name, spoil = SPOILED[part]
+    monkeypatch.setattr(where, name, spoil(getattr(where, name)))
+    if part in ("shadows", "outlines"):
         exact = {k: derivatives_of("direct", "indirect")[k] for k in ("blocker_x", "wall")}
-        params = {k: two_bounce_reference.PARAMS[k] for k in exact}
-        everything = dict(two_bounce_reference.PARAMS)
-        found = mc.grad_integrate(lambda p: two_bounces(everything | p), params, n=1 << 18, sampler=mc.Sobol())
+        params, make = two_bounce_reference.PARAMS, two_bounces
+    else:
+        scene = BY_NAME["sphere over the film's edge" if part == "film" else "lamp that a mirror's rim cuts"]
+        some = ("radius", "mirror_edge_v", "near_corner", "far_corner", "point")
+        exact = {k: v for k, v in scene.truth()[1].items() if k in some}
+        params, make = scene.params, made(scene)
+    moved = {k: params[k] for k in exact}
+    found = mc.grad_integrate(lambda p: make({**params, **p}), moved, n=1 << 18, sampler=mc.Sobol())
     with pytest.raises(AssertionError):
         check(found, exact, share=np.inf)
 

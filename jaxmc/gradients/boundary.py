@@ -16,8 +16,8 @@ from ..transport import paths
 from ..transport.lights import black
 from ..transport.strategy import Strategy
 from ..transport.vec import where
-from .jumps import jump, of_film, of_film_in_mirror, of_vertex_in_mirror
-from .shadows import Lamp, outlines, shadows
+from .jumps import jump, of_film, of_film_in_mirror, of_vertex, of_vertex_in_mirror
+from .shadows import Lamp, shadows
 from .silhouettes import Silhouettes
 from .walks import as_state, scatter, scatter_at, vertex_of
 from .world import world
@@ -72,7 +72,7 @@ class Boundary:
                 "which edges of a scene coincide is not known while JAX traces it: pass the function that makes the "
                 "scene to mc.grad_integrate instead of differentiating this integrand"
             )
-        moving = world(rest, at_rest, values)
+        moving = world(rest, at_rest, values, self.mirrors)
         begun, stride = self.receiver.begin(u, moving, *pixel), len(self.strategy.coordinates(rest))
         first = begun.first + stride * max(self.vertices - 1, 0)
         after = first + len(self.choices)
@@ -118,8 +118,10 @@ class Boundary:
         if self.lamps:
             total = total + shadows(moving, self.found, self.lamps, self.strategy, vertex, choice("shadow: edge"))
         if most:
+            # What is behind an edge and shines was counted among the shadows.
             along = self._radiance(moving, u, after, most, left, emits=False)
-            total = total + outlines(moving, self.found, self.strategy, vertex, choice("outline: edge"), along)
+            view = of_vertex(moving, self.found, self.strategy, vertex)
+            total = total + jump(moving, self.found, *view, choice("outline: edge"), along)
         if most and mirror is not None:
             along = self._radiance(moving, u, after, most - 1, left - 1, emits=True)
             view = of_vertex_in_mirror(moving, self.found, self.strategy, vertex, mirror)

@@ -69,11 +69,12 @@ def look(found: Silhouettes, fixed: Faces, point: Vec3) -> Views:
 def pieces(found: Silhouettes, views: Views, bounds: list[Halfspace], cone: Cone | None, *, creases=False, own=-1):
     """Return the pieces within some half spaces, and within a cone: where that comes from bounds, it is for rims only.
 
-    ``creases``: also those edges where one visible face goes on into another. Those of primitive ``own`` are left out.
+    ``creases``: also those edges, all or those for which it is true, where one visible face goes on into another. Those
+    of primitive ``own`` are left out.
     """
     parts, owner = [], np.array(found.owner)
     if views.edges is not None:
-        wanted = views.edges.seen if creases else views.edges.sharp
+        wanted = views.edges.sharp | (views.edges.seen & creases)
         arcs = edge_arcs(views.edges, bounds, None if bounds[1:] else cone, wanted)
         mine = jnp.any(jnp.asarray(owner)[views.edges.around] == own, 1)
         parts.append(Pieces(arcs.start, jnp.where(mine, 0.0, arcs.length), jnp.ones_like(arcs.start)))

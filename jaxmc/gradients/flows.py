@@ -172,21 +172,21 @@ def _pinned(face, fixed, point, wi, distance, flat=False):
     target = still(point) + wi * distance
     offset = target - fixed.center
     across = cross(fixed.half_u, fixed.half_v)
-    inverse = _inverse(dot(across, across))
+    inverse = reciprocal(dot(across, across))
     u, v = dot(cross(offset, fixed.half_v), across) * inverse, dot(cross(fixed.half_u, offset), across) * inverse
     place, normal = face.center + face.half_u * u + face.half_v * v, across
     if not flat:
-        is_sphere, outward = fixed.radius > 0.0, offset * _inverse(fixed.radius)
+        is_sphere, outward = fixed.radius > 0.0, offset * reciprocal(fixed.radius)
         place = place + outward * jnp.where(is_sphere, face.radius, 0.0)
         normal = where(is_sphere, outward, across)
     to, near = place - point, 1.0 / distance
     along = dot(wi, to) * near
     # The logarithm of cosine and area: of (half_u x half_v) . to, of a sphere's radius^2 outward . to.
-    height = _inverse(dot(normal, wi) * distance)
+    height = reciprocal(dot(normal, wi) * distance)
     area = dot(face.half_u, cross(fixed.half_v, wi)) + dot(face.half_v, cross(wi, fixed.half_u))
     area = area * (height * distance)
     if not flat:
-        area = jnp.where(is_sphere, 2.0 * face.radius * _inverse(fixed.radius), area)
+        area = jnp.where(is_sphere, 2.0 * face.radius * reciprocal(fixed.radius), area)
     log_ratio = area + dot(normal, to) * height - 3.0 * along
     return Flowed(attach(target, place), attach(wi, to * near - wi * along), attach(jnp.ones_like(distance), log_ratio))
 
@@ -215,20 +215,20 @@ def _in_cone(face, fixed, point, wi, distance, outside):
     widening = (face.radius - along * sine) * (sine * inverse) / cosine
     rising = widening * share
     lean = jnp.sqrt(height * (2.0 - height))
-    outward = rising * ((1.0 - height) * _inverse(lean)) * jnp.where(squared > 0.0, 1.0, 0.0)
+    outward = rising * ((1.0 - height) * reciprocal(lean)) * jnp.where(squared > 0.0, 1.0, 0.0)
     turned = turn * (1.0 - height) - axis * rising + aside * outward - axis * (dot(aside, turn) * lean)
     # Of the distance, (1 - s m) - chord times that of the centre.
     rest = larger((2.0 - most) - height, 0.0)
     open_ = jnp.sqrt(1.0 - share)
     chord = jnp.sqrt(most * rest) * open_
-    narrowing = (widening * rest - most * (widening + rising)) * (0.5 * open_ * _inverse(jnp.sqrt(most * rest)))
+    narrowing = (widening * rest - most * (widening + rising)) * (0.5 * open_ * reciprocal(jnp.sqrt(most * rest)))
     length = along * ((1.0 - height) - chord) - (rising + narrowing) * (1.0 / inverse)
     place = point + turned * distance + wi * length
     target = still(point) + wi * distance
     return Flowed(attach(target, place), attach(wi, turned), attach(jnp.ones_like(distance), widening / most))
 
 
-def _inverse(x):
+def reciprocal(x):
     """Return 1 / x, 0 where x is 0."""
     return jnp.where(x != 0.0, 1.0 / jnp.where(x != 0.0, x, 1.0), 0.0)
 
@@ -251,7 +251,7 @@ def turning_at(face: Faces, point: Vec3, wi: Vec3) -> Vec3:
     """Return 0, with the derivative of a face's unit normal at a point of it, on the side that ``wi`` comes from."""
     normal = where(still(face.radius) > 0.0, point - face.center, cross(face.half_u, face.half_v))
     fixed = still(normal)
-    size = _inverse(jnp.sqrt(larger(dot(fixed, fixed), 0.0)))
+    size = reciprocal(jnp.sqrt(larger(dot(fixed, fixed), 0.0)))
     size = jnp.where(dot(fixed, still(wi)) > 0.0, -size, size)
     unit, turned = fixed * size, normal * size
     return motion(turned - unit * dot(unit, turned))
@@ -260,4 +260,4 @@ def turning_at(face: Faces, point: Vec3, wi: Vec3) -> Vec3:
 def ratio(x):
     """Return ``x`` over its own value: 1, with the logarithmic derivative of ``x``; plain 1 where that is 0."""
     fixed = still(x)
-    return attach(jnp.ones_like(fixed), x * _inverse(fixed))
+    return attach(jnp.ones_like(fixed), x * reciprocal(fixed))

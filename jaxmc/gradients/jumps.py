@@ -1,14 +1,19 @@
-"""What moving edges add to light that arrives along directions that are given: by a camera, or over a plane mirror.
+"""What moving edges add to the radiance that is seen: on a film, around a surface point, and of both in plane mirrors.
 
-There nothing stays in place by itself. With h the distance by which an edge moves over the directions given, the
-integrand is (L_front - L_behind) h: all edges count where radiance jumps, also those between two faces that are seen.
-A mirror shows what would be seen from the point's own image behind it (Zeltner et al. 2021 on attached sampling).
+With h the distance by which an edge moves over a direction, the integrand is the sum of L h in front and -L h behind.
+A direction that a camera gives follows nothing, so all edges count where radiance jumps, also those between two faces
+that are seen. A direction that was drawn follows what it has met: what is in front moves with its edge and h is 0, but
+for mirrors, since what they show does not. A mirror shows what would be seen from the point's own image behind it.
+
+Source: Reynolds' transport theorem; Li et al. 2018; Zeltner et al. 2021 on attached sampling.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from ..transport.hits import Hit, at
@@ -17,31 +22,39 @@ from ..transport.rays import ray
 from ..transport.vec import Vec3, cross, dot, normalize, where
 from .arcs import Cone, Halfspace, cone_around, corners_of, middle_of, pyramid
 from .curves import Place, draw, holds, kinds, look, pieces, place_on
-from .flows import Faces, attach, flow, motion, still, turning_at
-from .shadows import draws, is_free, scan
+from .flows import attach, motion, still
+from .mirrors import flow_through, image, is_one_of, is_within, look_through, plane_of, reflected
+from .shadows import draws, follows, is_free, reflects, scan, slip
 from .silhouettes import Silhouettes
-from .walks import Vertex, evaluate
+from .walks import Vertex
 from .world import World
 
 
 class Window(NamedTuple):
     """Where a point looks, at rest and in motion: within these bounds, and for rims in the ``cone`` that holds them.
     Through a mirror it is the point's image, ``own`` the mirror's face and ``primitive`` what that belongs to.
+
+    Directions do not stay in place on faces that ``slip``, None for all: those count also where they lie in front, and
+    where they go on into another face at an edge that is true in ``creases``.
     """
 
     point: Vec3
     moving: Vec3
     bounds: list[Halfspace]
-    cone: Cone
+    cone: Cone | None
     own: Any = -1
     primitive: Any = -1
+    slip: tuple[int, ...] | None = None
+    creases: Any = True
 
 
 class Given(NamedTuple):
-    """A direction that is given: whether it is, as it moves, the weight of radiance along it, how far the mirror is."""
+    """A direction: whether it is one that matters, a function that returns how it moves with a hit, the weight of
+    radiance along it, and how far the mirror is.
+    """
 
     used: Any
-    wi: Vec3
+    follow: Callable
     weight: Any
     least: Any = 0.0
 
@@ -68,7 +81,7 @@ def of_film(world: World, part: Rectangle, importance):
 
     def give(place):
         used, moving, weight = _on_film(world, part, place.wi, importance)
-        return Given(used, moving, weight)
+        return Given(used, lambda hit: moving, weight)
 
     return window, give
 
@@ -76,8 +89,8 @@ def of_film(world: World, part: Rectangle, importance):
 def of_film_in_mirror(world: World, found: Silhouettes, part: Rectangle, face, importance):
     """Return the window of a part of the film, seen in a mirror."""
     camera, rest = world.values.place, world.rest
-    fixed = still(camera)
-    corners = [_image(world, face, c, fixed=True) for c in _film_corners(fixed, part)]
+    fixed, plane = still(camera), plane_of(world.values.faces.at(face))
+    corners = [still(image(plane, c)) for c in _film_corners(fixed, part)]
     window = _mirror_window(world, found, face, fixed.origin, camera.origin)
     inside = corners[0] + (corners[2] - corners[0]) * 0.5
     window = window._replace(bounds=window.bounds + pyramid(corners, inside, window.point))
@@ -86,28 +99,58 @@ def of_film_in_mirror(world: World, found: Silhouettes, part: Rectangle, face, i
         least, wi, is_seen = _through(world, found, face, window.point, place.wi)
         used, moving, weight = _on_film(world, part, wi, importance)
         used = used & is_seen & is_free(world, found, fixed.origin, wi, least, -1, face)
-        return Given(used, _reflected(world, face, moving), at(rest.reflectance, face) * weight, least)
+        seen = reflected(plane, moving)
+        return Given(used, lambda hit: seen, at(rest.reflectance, face) * weight, least)
+
+    return window, give
+
+
+def of_vertex(world: World, found: Silhouettes, strategy, vertex: Vertex):
+    """Return the window of a surface point that draws directions: all that is above its horizon."""
+    surface, mirrors = vertex.surface, world.mirrors
+    creases = np.array([any(i in mirrors for i in edge.faces) for edge in found.edges])
+    horizon = Halfspace(surface.normal)
+    window = Window(
+        surface.point, vertex.moving.point, [horizon], None, own=surface.face, slip=mirrors, creases=creases
+    )
+
+    def give(place):
+        used = draws(vertex) & (dot(surface.normal, place.wi) > 0.0)
+
+        def follow(hit):
+            wi = follows(world, vertex.moving.point, place.wi, hit, hit.face == surface.face)
+            shown = look_through(world.rest, mirrors, ray(surface.point, place.wi), hit)
+            if shown is None:
+                return wi
+            mirror, behind = (world.values.faces.at(i) for i in (hit.face, shown.hit.face))
+            distance = jnp.where(shown.there, hit.distance, 1.0)
+            seen = flow_through(mirror, behind, vertex.moving.point, place.wi, distance, shown)
+            return where(shown.there, seen.wi, wi)
+
+        return Given(used, follow, reflects(world, strategy, vertex, place.wi))
 
     return window, give
 
 
 def of_vertex_in_mirror(world: World, found: Silhouettes, strategy, vertex: Vertex, face):
     """Return the window of a surface point, seen in a mirror that its directions find."""
-    rest, surface = world.rest, vertex.surface
+    surface = vertex.surface
+    plane = plane_of(still(world.values.faces.at(face)))
     window = _mirror_window(world, found, face, surface.point, vertex.moving.point)
-    horizon = Halfspace(_reflected(world, face, surface.normal, fixed=True))
-    window = window._replace(bounds=[*window.bounds, horizon])
+    horizon = Halfspace(reflected(plane, surface.normal))
+    window = window._replace(bounds=[*window.bounds, horizon], slip=(), creases=False)
 
     def give(place):
         least, wi, is_seen = _through(world, found, face, window.point, place.wi)
         used = draws(vertex) & is_seen & (dot(wi, surface.normal) > 0.0) & (surface.face != face)
         used = used & is_free(world, found, surface.point, wi, least, surface.face, face)
-        pinned = flow(world.values.faces.at(face), vertex.moving.point, wi, jnp.where(used, least, 1.0)).wi
-        still_vertex = jax.tree.map(still, vertex)
-        value = still(evaluate(world, strategy, still_vertex, wi)) * (1.0 / jnp.pi)
-        return Given(
-            used, _reflected(world, face, pinned), still(vertex.beta) * at(rest.reflectance, face) * value, least
-        )
+        weight = at(world.rest.reflectance, face) * reflects(world, strategy, vertex, wi)
+
+        def follow(hit):
+            within = is_within(still(world.values.faces.at(hit.face)), window.point + place.wi * least)
+            return follows(world, window.moving, place.wi, hit, within)
+
+        return Given(used, follow, weight, least)
 
     return window, give
 
@@ -119,29 +162,39 @@ def jump(world: World, found: Silhouettes, window: Window, give, u, radiance_alo
     same coordinates for both sides.
     """
     views = look(found, still(world.values.faces), window.point)
-    chosen = draw(u, pieces(found, views, window.bounds, window.cone, creases=True, own=window.primitive))
+    table = pieces(found, views, window.bounds, window.cone, creases=window.creases, own=window.primitive)
+    chosen = draw(u, table)
     place = place_on(found, views, chosen.which, chosen.angle, world.values.faces)
     given = give(place)
     seen = scan(world, found, place, window.point, window.own, given.least)
     used = given.used & seen.seen & (chosen.density > 0.0) & (place.distance > given.least)
+    behind, goes_on = _side(world, place, place.away, -1.0, seen.behind)
+    sides = [(-1.0, behind, used & (_slips(window, behind) | ~goes_on))]
+    if window.slip != ():
+        front, _ = _side(world, place, place.away * -1.0, 1.0, Hit(jnp.inf, -1))
+        sides.append((1.0, front, used & _slips(window, front)))
+    sides = [(sign, Hit(hit.distance, jnp.where(counts, hit.face, -1)), counts) for sign, hit, counts in sides]
+
     toward = ray(window.point + place.wi * given.least, place.wi)
-    hits = [
-        _side(world, place, place.away * -1.0, 1.0, Hit(jnp.inf, -1)),
-        _side(world, place, place.away, -1.0, seen.behind),
-    ]
-    hits = [Hit(h.distance - given.least, jnp.where(used, h.face, -1)) for h in hits]
-
-    both = lax.map(lambda hit: radiance_along(toward, hit), jax.tree.map(lambda *x: jnp.stack(x), *hits))
-    front, behind = (jax.tree.map(lambda x, k=k: x[k], both) for k in (0, 1))
-    away = (place.point - window.moving) * jnp.where(used, 1.0 / jnp.where(used, place.distance, 1.0), 0.0)
-    h = jnp.where(used, dot(place.away, away) - dot(place.away, given.wi), 0.0)
+    hits = [Hit(hit.distance - given.least, hit.face) for _, hit, _ in sides]
+    lights = lax.map(lambda hit: radiance_along(toward, hit), jax.tree.map(lambda *x: jnp.stack(x), *hits))
     weight = jnp.where(used, place.stretch / jnp.where(used, chosen.density, 1.0), 0.0)
-    value = still((front - behind) * given.weight) * (weight * motion(h))
-    return where(used, value, black(world.rest))
+    total = black(world.rest)
+    for k, (sign, hit, counts) in enumerate(sides):
+        light = jax.tree.map(lambda x, k=k: x[k], lights)
+        h = slip(place, window.moving, given.follow(hit), counts)
+        total = total + where(counts, still(light * given.weight) * (sign * weight * motion(h)), black(world.rest))
+    return total
 
 
-def _side(world, place: Place, toward: Vec3, side, otherwise: Hit) -> Hit:
-    """Return the face at an edge that is seen on one side of it: the one that comes nearer first."""
+def _slips(window: Window, hit: Hit):
+    return True if window.slip is None else is_one_of(window.slip, hit.face)
+
+
+def _side(world, place: Place, toward: Vec3, side, otherwise: Hit) -> tuple[Hit, Any]:
+    """Return the face at an edge that is seen on one side of it, the one that comes nearer first, and whether there is
+    one.
+    """
     faces = still(world.values.faces)
     face, best, distance = jnp.asarray(-1), jnp.inf, place.distance
     for k in range(place.around.shape[0]):
@@ -157,7 +210,7 @@ def _side(world, place: Place, toward: Vec3, side, otherwise: Hit) -> Hit:
         distance = jnp.where(
             better & is_ball, place.distance * (1.0 - 16.0 * float(jnp.finfo(jnp.result_type(float)).eps)), distance
         )
-    return Hit(*(jnp.where(face >= 0, a, b) for a, b in zip((distance, face), otherwise)))
+    return Hit(*(jnp.where(face >= 0, a, b) for a, b in zip((distance, face), otherwise))), face >= 0
 
 
 # ------------------------------------------------------------------------------------------------------------- film
@@ -187,45 +240,29 @@ def _on_film(world: World, part: Rectangle, wi: Vec3, importance):
 # ---------------------------------------------------------------------------------------------------------- mirrors
 
 
-def _mirror(world: World, face, fixed: bool) -> tuple[Faces, Vec3]:
-    """Return a plane mirror and its unit normal."""
-    row = world.values.faces.at(face)
-    normal = normalize(cross(row.half_u, row.half_v))
-    return (still(row), still(normal)) if fixed else (row, attach(normal, turning_at(row, row.center, -normal)))
-
-
-def _image(world, face, point, fixed=False):
-    """Return the mirror image of a point."""
-    row, normal = _mirror(world, face, fixed)
-    return point - normal * (2.0 * dot(normal, point - row.center))
-
-
-def _reflected(world, face, direction, fixed=False):
-    """Return the mirror image of a direction."""
-    _, normal = _mirror(world, face, fixed)
-    return direction - normal * (2.0 * dot(normal, direction))
-
-
 def _mirror_window(world: World, found, face, point: Vec3, moving: Vec3) -> Window:
-    row, normal = _mirror(world, face, fixed=True)
-    image = _image(world, face, point, fixed=True)
+    row = world.values.faces.at(face)
+    fixed, plane = still(row), plane_of(row)
+    seen_from = still(image(plane, point))
     triangle = jnp.asarray(found.triangles)[face]
-    corners, inside = corners_of(row, triangle), middle_of(row, triangle)
-    height = dot(normal, row.center - image)
+    corners, inside = corners_of(fixed, triangle), middle_of(fixed, triangle)
+    normal = still(plane.normal)
+    height = dot(normal, fixed.center - seen_from)
     beyond = Halfspace(normal * jnp.sign(height), jnp.abs(height))
     return Window(
-        image, _image(world, face, moving), [*pyramid(corners, inside, image), beyond],
-        cone_around(corners, inside, image), face, jnp.asarray(world.rest.owner)[face],
+        seen_from, image(plane, moving), [*pyramid(corners, inside, seen_from), beyond],
+        cone_around(corners, inside, seen_from), face, jnp.asarray(world.rest.owner)[face],
     )  # fmt: skip
 
 
-def _through(world, found, face, image, wi):
+def _through(world, found, face, seen_from, wi):
     """Return how far from the image of a point the mirror is along a direction, the direction that it reflects, and
     whether it is seen there.
     """
-    row, normal = _mirror(world, face, fixed=True)
-    speed = dot(normal, wi)
-    distance = dot(normal, row.center - image) / jnp.where(speed != 0.0, speed, 1.0)
+    row = still(world.values.faces.at(face))
+    plane = plane_of(row)
+    speed = dot(plane.normal, wi)
+    distance = dot(plane.normal, plane.point - seen_from) / jnp.where(speed != 0.0, speed, 1.0)
     triangle, disk = (jnp.asarray(kind)[face] for kind in kinds(found))
-    is_seen = (distance > 0.0) & holds(row, image + wi * distance, triangle, disk)
-    return distance, _reflected(world, face, wi, fixed=True), is_seen
+    is_seen = (distance > 0.0) & holds(row, seen_from + wi * distance, triangle, disk)
+    return distance, reflected(plane, wi), is_seen

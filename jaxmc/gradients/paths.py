@@ -11,6 +11,7 @@ from ..transport.scene import Scene
 from ..transport.strategy import PathOptions, Strategy
 from .boundary import Boundary
 from .derivative import WithBoundary
+from .mirrors import plane_mirrors
 from .receivers import AlongRay, AtPoint, OnFilm, OverFace
 from .shadows import lamps_of
 from .silhouettes import silhouettes_of
@@ -25,13 +26,14 @@ def moving_paths(scene: Scene, camera: Camera, *, bounces, **options: Unpack[Pat
 
     The value is that of ``mc.path_integrand``. Its derivative in ``mc.grad_integrate`` holds with respect to whatever
     the scene and the camera are made of: colours, roughness, indices of refraction, places, sizes, orientations, the
-    camera itself. The interior keeps every drawn direction on what it has met; the boundary has all edges that move:
-    on the film, before lights, before surfaces that reflect, and each of them seen in plane mirrors.
+    camera itself. The interior keeps every drawn direction on what it has met, or on what a plane mirror shows there;
+    the boundary has all edges that move: on the film, before lights, before surfaces that reflect, those of mirrors,
+    and each of them seen in plane mirrors.
 
     What is not covered is said in ``flags``: edges seen in curved mirrors, through glass or in several mirrors,
     primitives that pass through each other, edges that overlap in part. Primitives that share an edge count as one
-    surface, and must move together. Derivatives of second order are wrong. Where a surface that is seen meets a mirror
-    or another one, derivatives by its place have heavy tails, of one over the distance: look at ``kurtosis``.
+    surface, and must move together. Derivatives of second order are wrong. Where a surface that is seen meets another
+    one, derivatives by its place have heavy tails, of one over the distance: look at ``kurtosis``.
 
     Args:
         scene: what is there.
@@ -113,11 +115,11 @@ def _moving(scene, receiver, place, bounces, options):
     words = [f"event {k + 1}, {word}" for k in range(events) for word in strategy.coordinates(scene)]
     labels = (*receiver.labels, *words) or ("unused",)
     params = scene, values, values
-    interior = Integrand(Interior(strategy, receiver), len(labels), params, True, labels)
+    mirrors = plane_mirrors(scene)
+    interior = Integrand(Interior(strategy, receiver, mirrors), len(labels), params, True, labels)
     found, flags = silhouettes_of(scene, bounces)
     if found.known and not (found.edges or found.spheres or found.disks):
         return WithBoundary(interior, None, flags, held=2)
-    mirrors = tuple(i for i in scene.mirrors if i not in found.spheres)
     around = Boundary(strategy, receiver, found, lamps_of(scene), mirrors)
     if not (around.choices):
         return WithBoundary(interior, None, flags, held=2)
@@ -131,9 +133,10 @@ class Interior:
 
     strategy: Strategy
     receiver: Any
+    mirrors: tuple[int, ...]
 
     def __call__(self, u, rest, at_rest, values, *pixel):
-        moving = world(rest, at_rest, values)
+        moving = world(rest, at_rest, values, self.mirrors)
         begun = self.receiver.begin(u, moving, *pixel)
         walk, total, first = begun.walk, begun.met, begun.first
         if begun.vertex is not None:

@@ -16,7 +16,6 @@ import numpy as np
 from ..transport.hits import Hit
 from ..transport.lights import black
 from ..transport.primitives import Sphere
-from ..transport.rays import ray
 from ..transport.sky import sky_radiance
 from ..transport.vec import Vec3, cross, dot, where
 from .arcs import Halfspace, cone_around, cone_of_ball, corners_of, middle_of, pyramid, this_side
@@ -86,15 +85,18 @@ def on_plane_of(world, found, face):
     return jnp.asarray(np.vstack([plane, np.zeros((1, rest.size), bool)]))[known] & (known >= 0)
 
 
-def velocity(world: World, place: Place, point: Vec3, own, face, distance, used):
-    """Return h: how far the silhouette moves over what lies behind, a face or the sky, where it is ``used``."""
+def follows(world: World, point: Vec3, wi: Vec3, hit: Hit, own) -> Vec3:
+    """Return a direction that was drawn at ``point`` in motion: it keeps what it has met, or itself, in place."""
+    is_face = hit.face >= 0
+    kept = flow(world.values.faces.at(hit.face), point, wi, jnp.where(is_face, hit.distance, 1.0), own).wi
+    return where(is_face, kept, wi)
+
+
+def slip(place: Place, point: Vec3, wi: Vec3, used):
+    """Return h, how far a silhouette moves over ``wi``, both seen from ``point`` in motion, where it is ``used``."""
     # Keep what is not used finite, or the chain rule makes it NaN.
-    is_face = used & (face >= 0)
-    length = jnp.where(is_face, distance, 1.0)
-    behind = flow(world.values.faces.at(jnp.where(is_face, face, -1)), point, place.wi, length, face == own).wi
-    behind = where(is_face, behind, place.wi)
     away = (place.point - point) * jnp.where(used, 1.0 / jnp.where(used, place.distance, 1.0), 0.0)
-    return jnp.where(used, dot(place.away, away) - dot(place.away, behind), 0.0)
+    return jnp.where(used, dot(place.away, away) - dot(place.away, wi), 0.0)
 
 
 def draws(vertex: Vertex):
@@ -103,13 +105,10 @@ def draws(vertex: Vertex):
     return there if specular is None else there & ~specular
 
 
-def weighted(world, vertex: Vertex, strategy, place, density, used, light, h):
-    """Return -f L cos(theta) h over the density of the place: 0, with the derivative of h."""
+def reflects(world: World, strategy, vertex: Vertex, wi: Vec3):
+    """Return the share of radiance that a vertex reflects per solid angle, times what comes before it, at rest."""
     rest = jax.tree.map(still, vertex)
-    value = still(evaluate(world, strategy, rest, place.wi)) * (1.0 / jnp.pi)
-    weight = jnp.where(used, -place.stretch / jnp.where(used, density, 1.0), 0.0)
-    brought = still(rest.beta * light * value) * (weight * motion(h))
-    return where(used, brought, black(world.rest))
+    return still(rest.beta * (evaluate(world, strategy, rest, wi) * (1.0 / jnp.pi)))
 
 
 def shadows(world: World, found: Silhouettes, lamps, strategy, vertex: Vertex, u):
@@ -134,29 +133,14 @@ def shadows(world: World, found: Silhouettes, lamps, strategy, vertex: Vertex, u
     shines = jnp.where(dot(outward, place.wi) < 0.0, front, back)
     reached = (hit.face == face) & ((face == SKY) | shines)
     used = reached & seen.seen & (chosen.density > 0.0) & (dot(n, place.wi) > 0.0) & draws(vertex)
-    h = velocity(world, place, vertex.moving.point, surface.face, face, hit.distance, used)
+    met = Hit(hit.distance, jnp.where(used, face, -1))
+    h = slip(place, vertex.moving.point, follows(world, vertex.moving.point, place.wi, met, face == surface.face), used)
     light = one_of(still(world.values.emission), face)
     if world.rest.sky is not None:
         light = where(face == SKY, sky_radiance(still(world.values.sky), place.wi), light)
-    return weighted(world, vertex, strategy, place, chosen.density, used, light, h)
-
-
-def outlines(world: World, found: Silhouettes, strategy, vertex: Vertex, u, reflected_along):
-    """Return what silhouettes add to the light that other surfaces reflect to a point.
-
-    Coordinate ``u`` draws one above the horizon; ``reflected_along(ray, hit)`` is an estimate of the radiance that what
-    lies behind reflects. What that emits is left to ``shadows``.
-    """
-    surface = vertex.surface
-    views = look(found, still(world.values.faces), surface.point)
-    chosen = draw(u, pieces(found, views, [Halfspace(surface.normal)], None))
-    place = place_on(found, views, chosen.which, chosen.angle, world.values.faces)
-    seen = scan(world, found, place, surface.point, surface.face)
-    hit, above = seen.behind, dot(surface.normal, place.wi) > 0.0
-    used = seen.seen & (hit.face >= 0) & (chosen.density > 0.0) & above & draws(vertex)
-    h = velocity(world, place, vertex.moving.point, surface.face, hit.face, hit.distance, used)
-    light = reflected_along(ray(surface.point, place.wi), hit._replace(face=jnp.where(used, hit.face, -1)))
-    return weighted(world, vertex, strategy, place, chosen.density, used, light, h)
+    value = reflects(world, strategy, vertex, place.wi)
+    weight = jnp.where(used, -place.stretch / jnp.where(used, chosen.density, 1.0), 0.0)
+    return where(used, still(value * light) * (weight * motion(h)), black(world.rest))
 
 
 def drawn_before(found, fixed, views, lamps, x, n):

@@ -20,7 +20,8 @@ from ..transport.rays import Ray, ray
 from ..transport.sky import sky_radiance
 from ..transport.strategy import POLAR
 from ..transport.vec import Vec3, dot, where
-from .flows import attach, carried, flow, ratio, still, sweeps, turning_at
+from .flows import Flowed, attach, carried, flow, ratio, still, sweeps, turning_at
+from .mirrors import Shown, flow_through, look_through
 from .world import Row, World
 
 KEPT = 8  # events of which reverse mode keeps everything
@@ -102,7 +103,8 @@ def evaluate(world: World, strategy, vertex: Vertex, wi: Vec3):
 
 class Found(NamedTuple):
     """What an event has found with the scene at rest: the sample of a light and what it is worth, the direction drawn,
-    what that is worth and where it leads, and the share of the emission there that counts.
+    what that is worth and where it leads, and the share of the emission there that counts; what is seen there, if it is
+    a plane mirror.
     """
 
     light: Vec3
@@ -113,6 +115,7 @@ class Found(NamedTuple):
     weight: Any
     hit: Hit
     share: Any
+    shown: Shown | None
 
 
 def scatter(world: World, strategy, u, first, walk: Walk, event) -> tuple[Walk, Any]:
@@ -168,7 +171,8 @@ def _find(world, strategy, u, first, surface, came, beta, event, anywhere=False)
     share = 0.0
     if rest.lights and not (strategy.lights == "nee" and kinds.specular is None):
         share = paths.emission_met(world.shares, strategy, onward, hit, drawn.pdf, surface, kinds.specular)
-    return _each_time(still(Found(light, distance, face, brings, drawn.wi, weight, hit, share)))
+    shown = look_through(rest, world.mirrors, onward, hit)
+    return _each_time(still(Found(light, distance, face, brings, drawn.wi, weight, hit, share, shown)))
 
 
 def _light(rest, strategy, u, first, surface, kinds, came, anywhere):
@@ -206,7 +210,11 @@ def _move(world, strategy, vertex: Vertex, found: Found) -> tuple[Walk, Any]:
         met = (vertex.surface.face >= 0) & (hit.face < 0)
         gained = gained + where(met, beta * sky_radiance(world.values.sky, wi), black(rest))
     if rest.lights and not (strategy.lights == "nee" and vertex.kinds.specular is None):
-        gained = gained + beta * (world.emission.at(hit.face) * found.share)
+        direct = beta
+        if set(world.mirrors) & set(rest.lights):
+            # What a mirror itself emits stays at its own points, as where lights are sampled.
+            direct = vertex.beta * _moved(world, strategy, vertex, found._replace(shown=None), row.face)[2]
+        gained = gained + direct * (world.emission.at(hit.face) * found.share)
     walk = Walk(ray(vertex.surface.point, found.wi), hit, None, None, None, wi, beta)
     return _met(walk, row, point), gained
 
@@ -214,14 +222,18 @@ def _move(world, strategy, vertex: Vertex, found: Found) -> tuple[Walk, Any]:
 def _moved(world, strategy, vertex, found, face):
     """Return how the point that a direction has met, the direction and its weight move."""
     free, own = found.hit.face < 0, found.hit.face == vertex.surface.face
-    distance = distance_to(found.hit)
-    pinned = flow(face, vertex.moving.point, found.wi, distance, own, world.rest.inverse_radius is None)
-    wi = where(free, found.wi, pinned.wi)
+    distance, flat = distance_to(found.hit), world.rest.inverse_radius is None
+    sample = flow(face, vertex.moving.point, found.wi, distance, own, flat)
+    if found.shown is not None:
+        behind = world.rows.at(found.shown.hit.face).face
+        seen = flow_through(face, behind, vertex.moving.point, found.wi, distance, found.shown, flat)
+        sample = Flowed(*(where(found.shown.there, a, b) for a, b in zip(seen, sample)))
+    wi = where(free, found.wi, sample.wi)
     value, above = evaluate(world, strategy, vertex, wi), dot(vertex.surface.normal, found.wi) > 0.0
     # What is not used must not turn derivatives to NaN.
     change = jax.tree.map(lambda v: ratio(jnp.where(above, v, 1.0)), value)
-    change = change * jnp.where(free, 1.0, pinned.ratio)
-    point = pinned.point
+    change = change * jnp.where(free, 1.0, sample.ratio)
+    point = sample.point
     if vertex.kinds.specular is not None:
         led, factor = _led(world, vertex, found)
         wi, change = where(vertex.kinds.specular, led, wi), where(vertex.kinds.specular, factor, change)

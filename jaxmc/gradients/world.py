@@ -60,7 +60,8 @@ class LightRow(NamedTuple):
 class World(NamedTuple):
     """A scene at rest with all that is known of it, its values in motion, and a scene that has these values where
     surfaces look up their materials; ``shares`` is the scene at rest with lights of radiance 1; the tables have
-    ``Row`` of all faces, and ``LightRow`` and emission of those that emit, to look up those of one.
+    ``Row`` of all faces, and ``LightRow`` and emission of those that emit, to look up those of one. ``mirrors`` are the
+    faces that are plane mirrors.
     """
 
     rest: Scene
@@ -70,6 +71,7 @@ class World(NamedTuple):
     rows: Table
     lights: Table
     emission: Table
+    mirrors: tuple[int, ...]
 
 
 def values_of(scene: Scene, place) -> Values:
@@ -98,8 +100,10 @@ def _rows(lookups):
     return jax.tree.map(rows, lookups, is_leaf=lambda x: isinstance(x, Lookup))
 
 
-def world(rest: Scene, at_rest: Values, values: Values) -> World:
-    """Return the world whose values are those at rest, and whose derivatives are those of ``values``."""
+def world(rest: Scene, at_rest: Values, values: Values, mirrors=()) -> World:
+    """Return the world whose values are those at rest, and whose derivatives are those of ``values``; ``mirrors`` as in
+    ``World``.
+    """
     values = attach(jax.tree.map(lambda x: jnp.asarray(x, float), at_rest), values)
     moving, shares = copy.copy(rest), copy.copy(rest)
     if rest.rough:
@@ -118,6 +122,6 @@ def world(rest: Scene, at_rest: Values, values: Values) -> World:
     shares.channels = 1
     rows = table(Row(values.faces, values.reflectance))
     if not rest.lights:
-        return World(rest, values, moving, shares, rows, None, None)
+        return World(rest, values, moving, shares, rows, None, None, mirrors)
     lights = table(LightRow(values.faces, values.emission), rest.lights)
-    return World(rest, values, moving, shares, rows, lights, table(values.emission, rest.lights))
+    return World(rest, values, moving, shares, rows, lights, table(values.emission, rest.lights), mirrors)
