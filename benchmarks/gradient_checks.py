@@ -1,10 +1,11 @@
 """Whole derivatives of images of random scenes, checked against differences with common random numbers.
 
-    python benchmarks/gradient_checks.py [--scenes 12] [--first 0] [--n 16777216]
+    python benchmarks/gradient_checks.py [--scenes 0 1 2 3 4 5 6 7 8 9 10 11] [--n 67108864]
 
 Each scene has a floor, a wall that may be a mirror, a lamp, a box, a ball and a sheet at random places. Five numbers
 move: the lamp, the box, the ball, an albedo and the camera. ``mc.gradcheck`` says whether the derivative of the mean of
-the image is biased, and which bias it would have found. All of it is in ``benchmarks/results/gradient_checks.json``.
+the image is biased, and which bias it would have found. All of it is in ``benchmarks/results/gradient_checks.json``;
+scenes that are not asked for stay there as they are.
 """
 
 import argparse
@@ -18,8 +19,8 @@ import jaxmc as mc
 from jaxmc.report import machine, versions, write_json
 
 RESULTS = Path(__file__).parent / "results" / "gradient_checks.json"
-STEPS = (0.06, 0.03)
-WORDS = ("verdict", "gradient", "difference", "bias", "error", "p", "detectable", "slope")
+STEPS = (0.12, 0.06, 0.03)
+WORDS = ("verdict", "gradient", "difference", "bias", "error", "p", "detectable", "slope", "step")
 
 
 def random_scene(number):
@@ -61,41 +62,38 @@ def random_scene(number):
 
 def main():
     options = arguments()
-    found: dict = {"n": options.n, "steps": STEPS, "bounces": options.bounces, "scenes": []}
-    if options.first:
-        found["scenes"] = json.loads(options.out.read_text())["scenes"][: options.first]
-    for number in range(options.first, options.scenes):
-        params, make = random_scene(number)
+    known = json.loads(options.out.read_text())["scenes"] if options.out.exists() else []
+    found = {scene["number"]: scene for scene in known}
+    for number in options.scenes:
+        found[number] = check(number, options)
+        scenes = [found[k] for k in sorted(found)]
+        write_json(options.out, {"steps": STEPS, "scenes": scenes, "machine": machine(), "versions": versions()})
 
-        def moving(p, make=make):
-            return mc.moving_paths(*make(p), bounces=options.bounces)
 
-        how = {
-            "n": options.n,
-            "boundary_n": options.n // 16,
-            "scale": 1.0,
-            "steps": STEPS,
-            "sampler": mc.Sobol(),
-            "key": number,
-        }
-        report = mc.gradcheck(moving, params, **how)
-        norm = float(np.linalg.norm([f.gradient for f in report.findings]))
-        findings = {f.name: {word: getattr(f, word) for word in WORDS} for f in report.findings}
-        result = {
-            "verdict": report.verdict, "flags": report.flags, "norm": norm, "findings": findings,
-            "detectable_share": max(f.detectable for f in report.findings) / norm,
-        }  # fmt: skip
-        found["scenes"].append(result)
-        print(f"{number:2d} {result['verdict']:12s} detectable {100 * result['detectable_share']:.2f} % of the norm, "
-              f"p {min(f.p for f in report.findings):.2g} {report.flags}", flush=True)  # fmt: skip
-        write_json(options.out, found | {"machine": machine(), "versions": versions()})
+def check(number, options):
+    """Return what is found for one scene."""
+    params, make = random_scene(number)
+
+    def moving(p):
+        return mc.moving_paths(*make(p), bounces=options.bounces)
+
+    how = {"n": options.n, "boundary_n": options.n // 16, "scale": 1.0, "steps": STEPS, "sampler": mc.Sobol()}
+    report = mc.gradcheck(moving, params, key=number, **how)
+    norm = float(np.linalg.norm([f.gradient for f in report.findings]))
+    share = max(f.detectable for f in report.findings) / norm
+    print(f"{number:2d} {report.verdict:12s} detectable {100 * share:.2f} % of the norm, "
+          f"p {min(f.p for f in report.findings):.2g} {report.flags}", flush=True)  # fmt: skip
+    return {
+        "number": number, "n": options.n, "bounces": options.bounces, "verdict": report.verdict, "flags": report.flags,
+        "norm": norm, "detectable_share": share,
+        "findings": {f.name: {word: getattr(f, word) for word in WORDS} for f in report.findings},
+    }  # fmt: skip
 
 
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenes", type=int, default=12)
-    parser.add_argument("--first", type=int, default=0, help="go on after so many, which the file has")
-    parser.add_argument("--n", type=int, default=1 << 24, help="samples of the interior and of the differences")
+    parser.add_argument("--scenes", type=int, nargs="*", default=range(12), help="their numbers")
+    parser.add_argument("--n", type=int, default=1 << 26, help="samples of the interior and of the differences")
     parser.add_argument("--bounces", type=int, default=2)
     parser.add_argument("--out", type=Path, default=RESULTS, help="the file of results")
     return parser.parse_args()
