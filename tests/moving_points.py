@@ -3,9 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import film_reference as film
 import jax.numpy as jnp
-import numpy as np
 
 import jaxmc as mc
 from analytic_scenes import moving
@@ -104,50 +102,6 @@ def _with_mirror(emission, radius, mirror, x, z):
     return image + moving.sphere_over_receiver(emission, radius, z, x)
 
 
-WINDOW = {
-    "mirror_corner": [-0.7, 1.0, 0.25], "mirror_edge_u": [1.3, 0.1, 0.02], "mirror_edge_v": [0.05, -0.05, 1.3],
-    "corner": [-0.9, 0.3, 1.2], "edge_u": [0.05, -0.12, 1.3], "edge_v": [2.2, 0.0, 0.1],
-    "near_corner": [-0.25, 0.5, 0.48], "near_edge_u": [0.16, 0.0, 0.02], "near_edge_v": [-0.02, 0.03, 0.15],
-    "far_corner": [0.1, 0.7, 1.4], "far_edge_u": [0.3, 0.05, 0.0], "far_edge_v": [0.0, 0.02, 0.35],
-    "point": [0.02, -0.03, 0.0],
-}  # fmt: skip
-WINDOW = {name: np.array(v) for name, v in WINDOW.items()} | {"reflectance": 0.8, "emission": 2.0}
-
-
-def _window(p):
-    """A lamp that only a mirror shows, whose rim cuts it, with a blocker on the way there and one on the way back."""
-    mirror = mc.Quad(p["mirror_corner"], p["mirror_edge_u"], p["mirror_edge_v"], mc.Mirror(p["reflectance"]))
-    # The lamp shines to +y, where the mirror is, and the point is behind it.
-    lamp = quad(p["corner"], p["edge_u"], p["edge_v"], p["emission"])
-    blockers = [quad(*(p[f"{where}_{part}"] for part in ("corner", "edge_u", "edge_v"))) for where in ("near", "far")]
-    return mc.Scene([mirror, lamp, *blockers]), p["point"], UP
-
-
-def _in_window(**p):
-    def seen(name, in_mirror=False):
-        points = film.quad(*(p[name + part] for part in ("corner", "edge_u", "edge_v")))
-        if in_mirror:
-            points = film.mirrored(points, p["mirror_corner"], jnp.cross(p["mirror_edge_u"], p["mirror_edge_v"]))
-        directions = points - p["point"]
-        return directions[:, :2] / directions[:, 2:]
-
-    lit = film.within(seen("", in_mirror=True), seen("mirror_"))
-    hidden = [film.within(lit, seen("near_")), film.within(lit, seen("far_", in_mirror=True))]
-    radiance = p["reflectance"] * p["emission"]
-    return radiance * (_irradiance(lit) - sum(map(_irradiance, hidden)))
-
-
-def _irradiance(polygon):
-    """Return the irradiance of a polygon of radiance 1, seen on a plane over the receiver. Source: Lambert (1760)."""
-    corners = jnp.concatenate([polygon, jnp.ones_like(polygon[:, :1])], axis=1)
-    after = jnp.roll(corners, -1, axis=0)
-    across = jnp.cross(corners, after)
-    squared = jnp.sum(across * across, axis=1)
-    size = jnp.sqrt(jnp.where(squared > 1e-20, squared, 1.0))
-    angle = jnp.arctan2(size, jnp.sum(corners * after, axis=1))
-    return 0.5 * jnp.abs(jnp.sum(jnp.where(squared > 1e-20, angle * across[:, 2] / size, 0.0)))
-
-
 def _furnace(p):
     shell = mc.Sphere(ORIGIN, 1.3, mc.Diffuse(p["albedo"]), emission=p["emission"], inward=True)
     return mc.Scene([shell]), [0.2, 0.1, 0.0], [0.3, -0.4, 0.8]
@@ -185,7 +139,6 @@ POINTS = (
     _family("sphere under the sky", "point", _sphere_under_sky, 0),
     MovingScene("sphere beside a plane mirror", "point", _plane_mirror, ARGUMENTS["sphere in a plane mirror"],
                 _with_mirror, 1),
-    MovingScene("lamp that a mirror's rim cuts", "point", _window, WINDOW, _in_window, 1),
 )  # fmt: skip
 RAYS = (
     MovingScene("shadow of a half plane on a floor", "ray", _half_plane_on_floor,

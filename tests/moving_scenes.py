@@ -8,6 +8,7 @@
 """
 
 from moving_films import FRONT, MIRRORS, ZOOMS
+from moving_mirrors import MIRRORED
 from moving_points import POINTS, RAYS
 
-SCENES = (*FRONT, *ZOOMS, *MIRRORS, *POINTS, *RAYS)
+SCENES = (*FRONT, *ZOOMS, *MIRRORS, *MIRRORED, *POINTS, *RAYS)

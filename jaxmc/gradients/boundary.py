@@ -5,6 +5,7 @@ and over a plane mirror in both. One sample has a place on the film's edges and 
 """
 
 import dataclasses
+import itertools
 from typing import Any
 
 import jax
@@ -16,10 +17,12 @@ from ..transport import paths
 from ..transport.lights import black
 from ..transport.strategy import Strategy
 from ..transport.vec import where
-from .jumps import jump, of_film, of_film_in_mirror, of_vertex, of_vertex_in_mirror
+from .jumps import jump
+from .mirrors import Mirrors
 from .shadows import Lamp, shadows
 from .silhouettes import Silhouettes
 from .walks import as_state, scatter, scatter_at, vertex_of
+from .windows import in_mirrors, of_film, of_vertex
 from .world import world
 
 RATIO = 0.5  # of the probabilities to look around the next vertex and around this one
@@ -29,15 +32,23 @@ RATIO = 0.5  # of the probabilities to look around the next vertex and around th
 class Boundary:
     """An integrand of value 0, whose derivative has what moving edges add as its mean.
 
-    ``mirrors`` are the faces that are plane mirrors. Its coordinates are those of a path up to its last vertex, then
-    ``choices``, then those of the paths that follow the edges.
+    Its coordinates are those of a path up to its last vertex, then ``choices``, then those of the paths that follow the
+    edges.
     """
 
     strategy: Strategy
     receiver: Any
     found: Silhouettes
     lamps: tuple[Lamp, ...]
-    mirrors: tuple[int, ...]
+    mirrors: Mirrors
+
+    @property
+    def chains(self) -> tuple[tuple[int, ...], ...]:
+        """The mirrors that are looked into, one after the other, -1 for none."""
+        faces, most = self.mirrors
+        rows = [row for n in range(1, most + 1) for row in itertools.product(faces, repeat=n)]
+        sound = [row for row in rows if all(a != b for a, b in itertools.pairwise(row))]
+        return tuple((*row, *[-1] * (most - len(row))) for row in sound)
 
     @property
     def vertices(self) -> int:
@@ -51,11 +62,11 @@ class Boundary:
         wanted = {
             "which vertex": count > 1,
             "film: edge": film,
-            "film: edge in a mirror": film and self.mirrors and self.strategy.bounces,
+            "film: edge in a mirror": film and self.chains,
             "shadow: edge": count and self.lamps,
             "outline: edge": count > 1,
-            "vertex: edge in a mirror": count > 1 and self.mirrors,
-            "which mirror": self.strategy.bounces and len(self.mirrors) > 1,
+            "vertex: edge in a mirror": count > 1 and self.chains,
+            "which mirrors": len(self.chains) > 1,
         }
         return tuple(word for word, is_wanted in wanted.items() if is_wanted)
 
@@ -80,54 +91,55 @@ class Boundary:
         def choice(word):
             return u[first + self.choices.index(word)]
 
-        total, mirror = black(rest), None
-        if self.mirrors and self.strategy.bounces:
-            count = len(self.mirrors)
-            which = jnp.minimum((choice("which mirror") * count).astype(int), count - 1) if count > 1 else 0
-            mirror = jnp.asarray(self.mirrors)[which]
+        total, chain, chains = black(rest), None, np.array(self.chains)
+        if self.chains:
+            count = len(chains)
+            which = jnp.minimum((choice("which mirrors") * count).astype(int), count - 1) if count > 1 else 0
+            chain = tuple(jnp.asarray(chains)[which])
         if hasattr(self.receiver, "part"):
             part = self.receiver.part(moving.values.place, *pixel)
 
             def importance(x, y):
                 return self.receiver.importance(moving, x, y, *pixel)
 
-            total = total + self._on_film(moving, part, importance, mirror, choice, u, after)
+            total = total + self._on_film(moving, part, importance, chain, choice, u, after)
         if self.vertices:
             k, weight, vertex = self._vertex(moving, begun, choice, u)
             total = (
                 total
-                + self._around(moving, vertex, self.vertices - 1 - k, mirror, choice, u, after) * weight * begun.weight
+                + self._around(moving, vertex, self.vertices - 1 - k, chain, choice, u, after) * weight * begun.weight
             )
         return self.receiver.finish(self.strategy, total)
 
-    def _on_film(self, moving, part, importance, mirror, choice, u, after):
-        """Return what edges on the film add, seen directly and in a mirror."""
-        bounces = self.strategy.bounces
+    def _on_film(self, moving, part, importance, chain, choice, u, after):
+        """Return what edges on the film add, seen directly and in mirrors."""
+        bounces, window = self.strategy.bounces, of_film(moving, part, importance)
         along = self._radiance(moving, u, after, bounces, bounces, emits=True)
-        total = jump(moving, self.found, *of_film(moving, part, importance), choice("film: edge"), along)
-        if mirror is None:
+        total = jump(moving, self.found, window, choice("film: edge"), along)
+        if chain is None:
             return total
-        along = self._radiance(moving, u, after, bounces - 1, bounces - 1, emits=True)
-        view = of_film_in_mirror(moving, self.found, part, mirror, importance)
-        seen = jump(moving, self.found, *view, choice("film: edge in a mirror"), along)
-        return total + seen * float(len(self.mirrors))
+        shown = in_mirrors(moving, self.found, window, chain)
+        along = self._radiance(moving, u, after, bounces - 1, bounces - shown.passed, emits=True)
+        seen = jump(moving, self.found, shown, choice("film: edge in a mirror"), along)
+        return total + seen * float(len(self.chains))
 
-    def _around(self, moving, vertex, left, mirror, choice, u, after):
+    def _around(self, moving, vertex, left, chain, choice, u, after):
         """Return what edges add around a vertex of a path that has ``left`` further events."""
         total, most = black(moving.rest), self.vertices - 1
         if self.lamps:
             total = total + shadows(moving, self.found, self.lamps, self.strategy, vertex, choice("shadow: edge"))
-        if most:
-            # What is behind an edge and shines was counted among the shadows.
-            along = self._radiance(moving, u, after, most, left, emits=False)
-            view = of_vertex(moving, self.found, self.strategy, vertex)
-            total = total + jump(moving, self.found, *view, choice("outline: edge"), along)
-        if most and mirror is not None:
-            along = self._radiance(moving, u, after, most - 1, left - 1, emits=True)
-            view = of_vertex_in_mirror(moving, self.found, self.strategy, vertex, mirror)
-            seen = jump(moving, self.found, *view, choice("vertex: edge in a mirror"), along)
-            total = total + where(left > 0, seen, black(moving.rest)) * float(len(self.mirrors))
-        return total
+        if not most:
+            return total
+        window = of_vertex(moving, self.strategy, vertex)
+        # What is behind an edge and shines was counted among the shadows.
+        along = self._radiance(moving, u, after, most, left, emits=False)
+        total = total + jump(moving, self.found, window, choice("outline: edge"), along)
+        if chain is None:
+            return total
+        shown = in_mirrors(moving, self.found, window, chain)
+        along = self._radiance(moving, u, after, most - 1, left - shown.passed, emits=True)
+        seen = jump(moving, self.found, shown, choice("vertex: edge in a mirror"), along)
+        return total + where(left >= shown.passed, seen, black(moving.rest)) * float(len(self.chains))
 
     def _vertex(self, moving, begun, choice, u):
         """Return the number of a vertex, one over its probability, and the vertex."""

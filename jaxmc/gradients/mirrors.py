@@ -16,6 +16,15 @@ from ..transport.rays import Ray, ray
 from ..transport.vec import Vec3, cross, dot, where
 from .flows import Faces, Flowed, attach, carried, flow, reciprocal, still, turning_at
 
+IN_A_ROW = 2  # plane mirrors that are looked through, one after the other
+
+
+class Mirrors(NamedTuple):
+    """The faces that are plane mirrors, and how many in a row a direction is followed through."""
+
+    faces: tuple[int, ...] = ()
+    in_a_row: int = 0
+
 
 class Shown(NamedTuple):
     """What a ray meets after a plane mirror, at rest: whether it met one, the direction from it, and what that hits."""
@@ -32,10 +41,11 @@ class Plane(NamedTuple):
     normal: Vec3
 
 
-def plane_mirrors(scene) -> tuple[int, ...]:
-    """Return the faces of a scene, as it was made, that are plane mirrors."""
+def mirrors_of(scene, bounces) -> Mirrors:
+    """Return the plane mirrors of a scene, as it was made."""
     primitives, _ = scene.as_given()
-    return tuple(i for i in scene.mirrors if not isinstance(primitives[scene.owner[i]], Sphere))
+    faces = tuple(i for i in scene.mirrors if not isinstance(primitives[scene.owner[i]], Sphere))
+    return Mirrors(faces, min(IN_A_ROW, len(faces), bounces))
 
 
 def is_one_of(faces: tuple[int, ...], face):
@@ -46,28 +56,44 @@ def is_one_of(faces: tuple[int, ...], face):
     return there
 
 
-def look_through(rest, mirrors, onward: Ray, hit: Hit) -> Shown | None:
-    """Return what a ray that has met something sees in it, if that is one of ``mirrors``; None without any."""
-    if not mirrors:
-        return None
-    there, surface = is_one_of(mirrors, hit.face), surface_at(rest, onward, hit)
-    wi = reflect(onward.direction, surface.normal)
-    shown = closest_hit(rest, ray(surface.point, wi), hit.face)
-    return Shown(there, wi, shown._replace(face=jnp.where(there, shown.face, -1)))
+def look_through(rest, mirrors: Mirrors, onward: Ray, hit: Hit) -> tuple[Shown, ...]:
+    """Return what a ray that has met something sees in that, where it is a mirror, and in the mirrors seen there."""
+    chain = []
+    for _ in range(mirrors.in_a_row):
+        there, surface = is_one_of(mirrors.faces, hit.face), surface_at(rest, onward, hit)
+        onward = ray(surface.point, reflect(onward.direction, surface.normal))
+        seen = closest_hit(rest, onward, hit.face)
+        hit = seen._replace(face=jnp.where(there, seen.face, -1))
+        chain.append(Shown(there, onward.direction, hit))
+    return tuple(chain)
 
 
-def flow_through(mirror: Faces, face: Faces, point: Vec3, wi: Vec3, distance, shown: Shown, flat=False) -> Flowed:
-    """Return how a sample moves that ``point`` sees in a mirror, ``distance`` away: it stays on what the mirror shows.
+def flow_through(face_at, hit: Hit, point: Vec3, wi: Vec3, chain: tuple[Shown, ...], flat=False) -> Flowed:
+    """Return how a sample moves that ``point`` sees along ``wi`` in a mirror, which is ``hit``: it stays on what that
+    shows, as ``look_through`` has found it.
 
-    ``face`` is what is shown; what the sky shows keeps its direction. The result has the point on the mirror and the
-    direction to that.
+    ``face_at`` looks up a face in motion. What the sky shows keeps its direction. The result has the point on the first
+    mirror and the direction to that.
     """
-    plane, free = plane_of(mirror), shown.hit.face < 0
-    within = is_within(still(face), still(point) + still(wi) * still(distance))
-    length = distance + jnp.where(free, 1.0, shown.hit.distance)
-    moved = flow(face, image(plane, point), shown.wi, length, within, flat)
-    toward = attach(wi, reflected(plane, where(free, still(shown.wi), moved.wi)))
-    return Flowed(carried(mirror, point, toward, distance), toward, jnp.where(free, 1.0, moved.ratio))
+    distance, mirror = jnp.where(hit.face >= 0, hit.distance, 1.0), face_at(hit.face)
+    # Unfold the way: the images of the point one after the other, and where the last mirror is met.
+    seen_from, corner, toward, length, planes, face = point, still(point), still(wi), 0.0, [], mirror
+    for shown in chain:
+        step = jnp.where(shown.there, jnp.where(hit.face >= 0, hit.distance, 1.0), 0.0)
+        planes.append(plane_of(face))
+        seen_from = where(shown.there, image(planes[-1], seen_from), seen_from)
+        corner, length = corner + toward * step, length + step
+        toward = where(shown.there, still(shown.wi), toward)
+        hit = Hit(*(jnp.where(shown.there, a, b) for a, b in zip(shown.hit, hit)))
+        face = face_at(hit.face)
+    free = hit.face < 0
+    length = length + jnp.where(free, 1.0, hit.distance)
+    moved = flow(face, seen_from, toward, length, is_within(still(face), corner), flat)
+    seen = where(free, toward, moved.wi)
+    for shown, plane in zip(reversed(chain), reversed(planes)):
+        seen = where(shown.there, reflected(plane, seen), seen)
+    first = attach(wi, seen)
+    return Flowed(carried(mirror, point, first, distance), first, jnp.where(free, 1.0, moved.ratio))
 
 
 def is_within(face: Faces, point: Vec3):

@@ -11,7 +11,7 @@ from ..transport.scene import Scene
 from ..transport.strategy import PathOptions, Strategy
 from .boundary import Boundary
 from .derivative import WithBoundary
-from .mirrors import plane_mirrors
+from .mirrors import Mirrors, mirrors_of
 from .receivers import AlongRay, AtPoint, OnFilm, OverFace
 from .shadows import lamps_of
 from .silhouettes import silhouettes_of
@@ -30,7 +30,7 @@ def moving_paths(scene: Scene, camera: Camera, *, bounces, **options: Unpack[Pat
     the boundary has all edges that move: on the film, before lights, before surfaces that reflect, those of mirrors,
     and each of them seen in plane mirrors.
 
-    What is not covered is said in ``flags``: edges seen in curved mirrors, through glass or in several mirrors,
+    What is not covered is said in ``flags``: edges seen in curved mirrors, through glass or in more than two mirrors,
     primitives that pass through each other, edges that overlap in part. Primitives that share an edge count as one
     surface, and must move together. Derivatives of second order are wrong. Where a surface that is seen meets another
     one, derivatives by its place have heavy tails, of one over the distance: look at ``kurtosis``.
@@ -115,7 +115,7 @@ def _moving(scene, receiver, place, bounces, options):
     words = [f"event {k + 1}, {word}" for k in range(events) for word in strategy.coordinates(scene)]
     labels = (*receiver.labels, *words) or ("unused",)
     params = scene, values, values
-    mirrors = plane_mirrors(scene)
+    mirrors = mirrors_of(scene, bounces)
     interior = Integrand(Interior(strategy, receiver, mirrors), len(labels), params, True, labels)
     found, flags = silhouettes_of(scene, bounces)
     if found.known and not (found.edges or found.spheres or found.disks):
@@ -133,7 +133,7 @@ class Interior:
 
     strategy: Strategy
     receiver: Any
-    mirrors: tuple[int, ...]
+    mirrors: Mirrors
 
     def __call__(self, u, rest, at_rest, values, *pixel):
         moving = world(rest, at_rest, values, self.mirrors)

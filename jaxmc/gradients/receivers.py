@@ -14,8 +14,8 @@ from ..transport.paths import finish
 from ..transport.rays import ray
 from ..transport.vec import Vec3, cross, normalize
 from .flows import still
-from .jumps import Rectangle
 from .walks import Vertex, Walk, start
+from .windows import Rectangle
 from .world import World
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from ..transport import geometry
 from ..transport.flats import FlatLight
 from ..transport.primitives import is_concrete
+from .mirrors import IN_A_ROW
 
 SAME = 1e-5  # of the size of the scene: points closer than that are one
 CORNERS = {False: ((-1, -1), (1, -1), (1, 1), (-1, 1)), True: ((-1, -1), (1, -1), (-1, 1))}
@@ -49,8 +50,8 @@ def silhouettes_of(scene, bounces) -> tuple[Silhouettes, tuple[str, ...]]:
     if bounces and (curved or scene.dielectrics):
         some = " and ".join(name for name, faces in (("curved mirrors", curved), ("glass", scene.dielectrics)) if faces)
         flags += (f"edges that are seen over {some}: their images are not known",)
-    if bounces > 1 and len(set(scene.mirrors) - set(curved)) > 1:
-        flags += ("edges that are seen over several mirrors, one after the other",)
+    if bounces > IN_A_ROW and len(set(scene.mirrors) - set(curved)) > 1:
+        flags += (f"edges that are seen over more than {IN_A_ROW} mirrors, one after the other",)
     return found, flags
 
 

@@ -103,8 +103,7 @@ def evaluate(world: World, strategy, vertex: Vertex, wi: Vec3):
 
 class Found(NamedTuple):
     """What an event has found with the scene at rest: the sample of a light and what it is worth, the direction drawn,
-    what that is worth and where it leads, and the share of the emission there that counts; what is seen there, if it is
-    a plane mirror.
+    what that is worth and where it leads, and the share of the emission there that counts; what plane mirrors show.
     """
 
     light: Vec3
@@ -115,7 +114,7 @@ class Found(NamedTuple):
     weight: Any
     hit: Hit
     share: Any
-    shown: Shown | None
+    shown: tuple[Shown, ...]
 
 
 def scatter(world: World, strategy, u, first, walk: Walk, event) -> tuple[Walk, Any]:
@@ -211,9 +210,9 @@ def _move(world, strategy, vertex: Vertex, found: Found) -> tuple[Walk, Any]:
         gained = gained + where(met, beta * sky_radiance(world.values.sky, wi), black(rest))
     if rest.lights and not (strategy.lights == "nee" and vertex.kinds.specular is None):
         direct = beta
-        if set(world.mirrors) & set(rest.lights):
+        if set(world.mirrors.faces) & set(rest.lights):
             # What a mirror itself emits stays at its own points, as where lights are sampled.
-            direct = vertex.beta * _moved(world, strategy, vertex, found._replace(shown=None), row.face)[2]
+            direct = vertex.beta * _moved(world, strategy, vertex, found._replace(shown=()), row.face)[2]
         gained = gained + direct * (world.emission.at(hit.face) * found.share)
     walk = Walk(ray(vertex.surface.point, found.wi), hit, None, None, None, wi, beta)
     return _met(walk, row, point), gained
@@ -224,10 +223,10 @@ def _moved(world, strategy, vertex, found, face):
     free, own = found.hit.face < 0, found.hit.face == vertex.surface.face
     distance, flat = distance_to(found.hit), world.rest.inverse_radius is None
     sample = flow(face, vertex.moving.point, found.wi, distance, own, flat)
-    if found.shown is not None:
-        behind = world.rows.at(found.shown.hit.face).face
-        seen = flow_through(face, behind, vertex.moving.point, found.wi, distance, found.shown, flat)
-        sample = Flowed(*(where(found.shown.there, a, b) for a, b in zip(seen, sample)))
+    if found.shown:
+        hit = found.hit._replace(distance=distance)
+        seen = flow_through(partial(_face_at, world), hit, vertex.moving.point, found.wi, found.shown, flat)
+        sample = Flowed(*(where(found.shown[0].there, a, b) for a, b in zip(seen, sample)))
     wi = where(free, found.wi, sample.wi)
     value, above = evaluate(world, strategy, vertex, wi), dot(vertex.surface.normal, found.wi) > 0.0
     # What is not used must not turn derivatives to NaN.
@@ -239,6 +238,10 @@ def _moved(world, strategy, vertex, found, face):
         wi, change = where(vertex.kinds.specular, led, wi), where(vertex.kinds.specular, factor, change)
         point = where(vertex.kinds.specular, carried(face, vertex.moving.point, led, distance), point)
     return point, wi, change * found.weight
+
+
+def _face_at(world, face):
+    return world.rows.at(face).face
 
 
 def _led(world, vertex, found):

@@ -14,6 +14,7 @@ from ..transport.primitives import as_color
 from ..transport.scene import Scene
 from ..transport.vec import Vec3
 from .flows import Faces, Table, attach, one_of, stacked, table, table_of_faces
+from .mirrors import Mirrors
 
 
 class Values(NamedTuple):
@@ -60,8 +61,8 @@ class LightRow(NamedTuple):
 class World(NamedTuple):
     """A scene at rest with all that is known of it, its values in motion, and a scene that has these values where
     surfaces look up their materials; ``shares`` is the scene at rest with lights of radiance 1; the tables have
-    ``Row`` of all faces, and ``LightRow`` and emission of those that emit, to look up those of one. ``mirrors`` are the
-    faces that are plane mirrors.
+    ``Row`` of all faces, and ``LightRow`` and emission of those that emit, to look up those of one. ``mirrors`` are
+    the plane ones.
     """
 
     rest: Scene
@@ -71,7 +72,7 @@ class World(NamedTuple):
     rows: Table
     lights: Table
     emission: Table
-    mirrors: tuple[int, ...]
+    mirrors: Mirrors
 
 
 def values_of(scene: Scene, place) -> Values:
@@ -100,10 +101,8 @@ def _rows(lookups):
     return jax.tree.map(rows, lookups, is_leaf=lambda x: isinstance(x, Lookup))
 
 
-def world(rest: Scene, at_rest: Values, values: Values, mirrors=()) -> World:
-    """Return the world whose values are those at rest, and whose derivatives are those of ``values``; ``mirrors`` as in
-    ``World``.
-    """
+def world(rest: Scene, at_rest: Values, values: Values, mirrors: Mirrors) -> World:
+    """Return the world whose values are those at rest, and whose derivatives are those of ``values``."""
     values = attach(jax.tree.map(lambda x: jnp.asarray(x, float), at_rest), values)
     moving, shares = copy.copy(rest), copy.copy(rest)
     if rest.rough:

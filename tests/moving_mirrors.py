@@ -1,0 +1,146 @@
+"""Lamps that a point or a camera sees in one plane mirror or two, cut by their rims and by what is on the way.
+
+What is seen are images: of the lamp in all mirrors, of each mirror and of each blocker in those before it.
+"""
+
+import film_reference as film
+import jax.numpy as jnp
+import numpy as np
+from moving_points import UP, MovingScene, quad
+
+import jaxmc as mc
+
+PARTS = "corner", "edge_u", "edge_v"
+
+
+def _corners(p, name, mirrors=()):
+    """Return the corners of a parallelogram, seen in mirrors, the last one first."""
+    points = film.quad(*(p[name + part] for part in PARTS))
+    for mirror in mirrors:
+        normal = jnp.cross(p[mirror + "edge_u"], p[mirror + "edge_v"])
+        points = film.mirrored(points, p[mirror + "corner"], normal)
+    return points
+
+
+def _mirror(p, name):
+    return mc.Quad(*(p[name + part] for part in PARTS), mc.Mirror(p["reflectance"]))
+
+
+def _quads(p, *names):
+    return [quad(*(p[name + part] for part in PARTS)) for name in names]
+
+
+def _lamp(p):
+    return quad(*(p[part] for part in PARTS), p["emission"])
+
+
+def _from_point(p, points):
+    """Return where points over a receiver appear on the plane above it."""
+    directions = points - p["point"]
+    return directions[:, :2] / directions[:, 2:]
+
+
+def _irradiance(polygon):
+    """Return the irradiance of a polygon of radiance 1, seen on a plane over the receiver. Source: Lambert (1760)."""
+    corners = jnp.concatenate([polygon, jnp.ones_like(polygon[:, :1])], axis=1)
+    after = jnp.roll(corners, -1, axis=0)
+    across = jnp.cross(corners, after)
+    squared = jnp.sum(across * across, axis=1)
+    size = jnp.sqrt(jnp.where(squared > 1e-20, squared, 1.0))
+    angle = jnp.arctan2(size, jnp.sum(corners * after, axis=1))
+    return 0.5 * jnp.abs(jnp.sum(jnp.where(squared > 1e-20, angle * across[:, 2] / size, 0.0)))
+
+
+# --------------------------------------------------------------------------------------------------------- one mirror
+
+WINDOW = {
+    "mirror_corner": [-0.7, 1.0, 0.25], "mirror_edge_u": [1.3, 0.1, 0.02], "mirror_edge_v": [0.05, -0.05, 1.3],
+    "corner": [-0.9, 0.3, 1.2], "edge_u": [0.05, -0.12, 1.3], "edge_v": [2.2, 0.0, 0.1],
+    "near_corner": [-0.25, 0.5, 0.48], "near_edge_u": [0.16, 0.0, 0.02], "near_edge_v": [-0.02, 0.03, 0.15],
+    "far_corner": [0.1, 0.7, 1.4], "far_edge_u": [0.3, 0.05, 0.0], "far_edge_v": [0.0, 0.02, 0.35],
+    "point": [0.02, -0.03, 0.0],
+}  # fmt: skip
+WINDOW = {name: np.array(v) for name, v in WINDOW.items()} | {"reflectance": 0.8, "emission": 2.0}
+
+
+def _window(p):
+    """A lamp that only a mirror shows, whose rim cuts it, with a blocker on the way there and one on the way back."""
+    # The lamp shines to +y, where the mirror is, and the point is behind it.
+    return mc.Scene([_mirror(p, "mirror_"), _lamp(p), *_quads(p, "near_", "far_")]), p["point"], UP
+
+
+def _in_window(**p):
+    def seen(name, *mirrors):
+        return _from_point(p, _corners(p, name, mirrors))
+
+    lit = film.within(seen("", "mirror_"), seen("mirror_"))
+    hidden = [film.within(lit, seen("near_")), film.within(lit, seen("far_", "mirror_"))]
+    return p["reflectance"] * p["emission"] * (_irradiance(lit) - sum(map(_irradiance, hidden)))
+
+
+# -------------------------------------------------------------------------------------------------------- two mirrors
+
+PERISCOPE = {
+    "low_corner": [-0.7, 1.0, 0.25], "low_edge_u": [1.3, 0.05, 0.02], "low_edge_v": [0.05, -0.03, 0.6],
+    "high_corner": [-0.6, -0.5, 1.0], "high_edge_u": [0.02, 0.03, 1.2], "high_edge_v": [1.1, 0.02, 0.0],
+    "corner": [-0.9, 0.4, 2.2], "edge_u": [1.6, 0.0, 0.05], "edge_v": [0.0, 0.03, 1.0],
+    "near_corner": [-0.12, 0.2, 1.3], "near_edge_u": [0.25, 0.02, 0.02], "near_edge_v": [0.0, 0.02, 0.15],
+    "far_corner": [0.28, 0.0, 2.1], "far_edge_u": [0.2, 0.0, 0.01], "far_edge_v": [0.01, 0.02, 0.14],
+}  # fmt: skip
+PERISCOPE = {name: np.array(v) for name, v in PERISCOPE.items()} | {"reflectance": 0.8, "emission": 2.0}
+
+
+def _periscope(p):
+    """A low mirror before the origin, a high one behind it that it shows, and a lamp that shines to the high one."""
+    return mc.Scene([_mirror(p, "low_"), _mirror(p, "high_"), _lamp(p), *_quads(p, "near_", "far_")])
+
+
+def _periscope_at_point(p):
+    return _periscope(p), p["point"], UP
+
+
+def _up_periscope(**p):
+    def seen(name, *mirrors):
+        return _from_point(p, _corners(p, name, mirrors))
+
+    direct = seen("")
+    direct = _irradiance(direct) - _irradiance(film.within(direct, seen("near_")))
+    once = film.within(seen("", "high_"), seen("high_"))
+    once = _irradiance(once) - _irradiance(film.within(once, seen("far_", "high_")))
+    twice = _twice(seen)
+    twice = _irradiance(twice) - sum(_irradiance(film.within(twice, hidden)) for hidden in _hiding(seen))
+    return p["emission"] * (direct + p["reflectance"] * once + p["reflectance"] ** 2 * twice)
+
+
+def _twice(seen):
+    return film.within(film.within(seen("", "high_", "low_"), seen("high_", "low_")), seen("low_"))
+
+
+def _hiding(seen):
+    return seen("near_", "low_"), seen("far_", "high_", "low_")
+
+
+SEEN_FROM = {"origin": np.array([0.05, -0.1, 0.02]), "target": np.array([0.0, 1.0, 0.75])}
+
+
+def _periscope_on_film(p):
+    return _periscope(p), mc.PinholeCamera(p["origin"], p["target"], UP, 30.0, 4, 4)
+
+
+def _through_periscope(**p):
+    view = film.view(p["origin"], p["target"], fov=30.0)
+
+    def seen(name, *mirrors):
+        return view.on_film(_corners(p, name, mirrors))
+
+    lit = _twice(seen)
+    share = film.share(lit) - sum(film.share(lit, hidden) for hidden in _hiding(seen))
+    return p["emission"] * p["reflectance"] ** 2 * share
+
+
+MIRRORED = (
+    MovingScene("lamp that a mirror's rim cuts", "point", _window, WINDOW, _in_window, 1),
+    MovingScene("periscope", "point", _periscope_at_point, PERISCOPE | {"point": np.array([0.02, -0.03, 0.0])},
+                _up_periscope, 2),
+    MovingScene("through a periscope", "film", _periscope_on_film, PERISCOPE | SEEN_FROM, _through_periscope, 2),
+)  # fmt: skip
