@@ -229,6 +229,24 @@ def test_nothing_is_lost_to_rounding(mode):
     assert found.nonfinite == 0
 
 
+@pytest.mark.slow
+def test_long_bright_paths_know_their_error():
+    """A furnace of 40 events that loses little light: its radiance does not depend on where anything is."""
+
+    def make(p):
+        white = mc.Diffuse(0.98)
+        walls = mc.Box((0.0, 0.0, 0.0), p["size"], material=white, emission=1.0, two_sided=True)
+        scene = mc.Scene([walls, mc.Sphere(p["ball"], 0.3, white, emission=1.0)])
+        return mc.moving_radiance(scene, (0.5, 0.4, 0.3), (-0.6, -0.5, -0.2), bounces=40)
+
+    params = {"size": np.array([2.0, 2.0, 2.0]), "ball": np.array([-0.4, -0.2, 0.2])}
+    found = mc.grad_integrate(make, params, n=1 << 14, boundary_n=1 << 15, mode="forward", key=1)
+    for name in params:
+        assert np.all(np.abs(found.mean[name]) <= 4.5 * found.stderr[name])
+    # Both parts matter, and are known well.
+    assert np.all(np.abs(found.boundary.mean["size"]) > 10.0 * found.stderr["size"])
+
+
 @pytest.mark.parametrize("make", [mc.radiance, mc.moving_radiance])
 def test_light_behind_glass_by_its_index(make):
     """A share 1 - F of the light passes, and spreads: (1 - F) / n^2 with F = ((n - 1) / (n + 1))^2."""

@@ -17,6 +17,7 @@ from ..transport import paths
 from ..transport.lights import black
 from ..transport.strategy import Strategy
 from ..transport.vec import where
+from .flows import still
 from .jumps import jump
 from .mirrors import Mirrors
 from .shadows import Lamp, shadows
@@ -24,8 +25,6 @@ from .silhouettes import Silhouettes
 from .walks import as_state, scatter, scatter_at, vertex_of
 from .windows import in_mirrors, of_film, of_vertex
 from .world import world
-
-RATIO = 0.5  # of the probabilities to look around the next vertex and around this one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,10 +142,11 @@ class Boundary:
 
     def _vertex(self, moving, begun, choice, u):
         """Return the number of a vertex, one over its probability, and the vertex."""
-        weights = RATIO ** np.arange(self.vertices)
-        upto = np.cumsum(weights / weights.sum())
-        k = jnp.sum(choice("which vertex") >= jnp.asarray(upto[:-1], float)) if self.vertices > 1 else 0
-        weight = jnp.asarray(weights.sum() / weights, float)[k]
+        k, weight = 0, 1.0
+        if self.vertices > 1:
+            chances = _chances(moving, self.vertices)
+            k = jnp.sum(choice("which vertex") >= jnp.cumsum(chances)[:-1])
+            weight = 1.0 / chances[k]
         if self.vertices == 1 and begun.vertex is not None:
             return k, weight, begun.vertex
         stride, walk, done = len(self.strategy.coordinates(moving.rest)), begun.walk, 0
@@ -187,3 +187,15 @@ class Boundary:
             return jax.tree.map(pick, state.radiance, totals)
 
         return along
+
+
+def _chances(moving, count):
+    """Return the probabilities to look around each of ``count`` vertices.
+
+    Half of them fall by a half from one to the next; half as the brightest surface dims light, so that no weight grows
+    along a path.
+    """
+    brightest = jnp.max(jnp.stack([jnp.max(x) for x in jax.tree.leaves(still(moving.values.reflectance))]))
+    ratios = jnp.stack([jnp.full((), 0.5), jnp.clip(brightest, 0.5, 1.0)])
+    powers = ratios[:, None] ** np.arange(count)
+    return jnp.sum(0.5 * powers / jnp.sum(powers, axis=1, keepdims=True), axis=0)

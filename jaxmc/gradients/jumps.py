@@ -8,6 +8,7 @@ for mirrors, since what they show does not. A mirror shows what would be seen fr
 Source: Reynolds' transport theorem; Li et al. 2018; Zeltner et al. 2021 on attached sampling.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -49,14 +50,21 @@ def jump(world: World, found: Silhouettes, window: Window, u, radiance_along):
 
     toward = ray(window.point + place.wi * given.least, place.wi)
     hits = [Hit(hit.distance - given.least, hit.face) for _, hit, _ in sides]
-    lights = lax.map(lambda hit: radiance_along(toward, hit), jax.tree.map(lambda *x: jnp.stack(x), *hits))
+    lights = _both(partial(radiance_along, toward), hits)
     weight, total = jnp.where(used, place.stretch / jnp.where(used, chosen.density, 1.0), 0.0), black(world.rest)
-    for k, (sign, hit, counts) in enumerate(sides):
+    for light, (sign, hit, counts) in zip(lights, sides):
         wi = given.wi if given.wi is not None else _follow(world, window, place.wi, given.least, hit)
-        light = jax.tree.map(lambda x, k=k: x[k], lights)
         value = still(light * given.weight) * (sign * weight * motion(slip(place, window.moving, wi, counts)))
         total = total + where(counts, value, black(world.rest))
     return total
+
+
+def _both(f, sides):
+    """Return ``f`` of one side or of both, compiled once."""
+    if len(sides) == 1:
+        return [f(sides[0])]
+    stacked = lax.map(f, jax.tree.map(lambda *x: jnp.stack(x), *sides))
+    return [jax.tree.map(lambda x, k=k: x[k], stacked) for k in range(len(sides))]
 
 
 def _pieces(world, found, views, window: Window):
