@@ -25,9 +25,12 @@ class Nodes(NamedTuple):
 
 
 class Law(NamedTuple):
-    """Variance of one sample, and its kurtosis: fourth central moment / variance^2, None where nothing varies."""
+    """Variance of one sample, and its kurtosis: fourth central moment / variance^2, None where nothing varies.
 
-    variance: float
+    Either is None too where it is not known, or infinite.
+    """
+
+    variance: float | None
     kurtosis: float | None
 
 
