@@ -16,11 +16,11 @@ from jax.sharding import PartitionSpec
 
 from .. import backend
 from .integrand import SAMPLES
+from .moments import VECTOR
 from .samplers import Index
 
 LANES = backend.CPU_WIDTHS.lanes
 ROWS = 32
-VECTOR = 64  # a number of lanes that vector code divides evenly
 BLOCK = ROWS * LANES
 TOGETHER = 2048  # most lanes of samples that are worked on together
 MEANS = 256  # their means that show how they are spread
