@@ -173,6 +173,8 @@ def _evaluate(integrand, tables, seed, base, offset, rows, sampler, tallies, eac
     def point(index):
         return sampler.point(seed, index, *tables)
 
+    # Shapes are asked for before values: with a ``jit`` of its own, what an integrand does is traced once for both.
+    @jax.jit
     def value_of_row(base, offset):
         index, word_axes = _indices_of_row(base, offset, sampler.independent, each)
         if integrand.together:
@@ -185,6 +187,7 @@ def _evaluate(integrand, tables, seed, base, offset, rows, sampler, tallies, eac
         empty = _zeros(jax.eval_shape(records, *args))
         return lax.cond(args[2].max() > 0, records, lambda *_: empty, *args)
 
+    @jax.jit
     def records(base, offset, rows):
         def evaluate_row(r, values):
             return jax.tree.map(lambda all_rows, x: all_rows.at[r].set(x), values, value_of_row(base[r], offset))
