@@ -15,8 +15,8 @@ from jax import lax
 from jax.sharding import PartitionSpec
 
 from .. import backend
+from .blocks import VECTOR
 from .integrand import SAMPLES
-from .moments import VECTOR
 from .samplers import Index
 
 LANES = backend.CPU_WIDTHS.lanes

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .blocks import fold_lanes, lanes_of
 from .storage import storable
 
 PIECE = 8192  # numbers that are worked on together
-VECTOR = 64  # a number of lanes that vector code divides evenly
 
 
 @storable
@@ -88,10 +88,10 @@ def per_sample(sums, n):
 def _reduce_moments(x, valid, axes, order):
     # Count in at least float32: a bool, a small integer or a half cannot hold the number of samples.
     x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
-    lanes = tuple(axis - 1 for axis in axes if axis > 0)
+    lanes = lanes_of(axes)
     wanted = valid.sum(0)  # rows of each lane
     valid, rows = (v.reshape(v.shape + (1,) * (x.ndim - 2)) for v in (valid, wanted))
-    count = _over_lanes(jnp.sum, rows, lanes).astype(x.dtype)
+    count = fold_lanes(jnp.sum, rows, lanes).astype(x.dtype)
     # Scale before summing, or finite values above 2e34 overflow; the mean need not be exact, deviations make up for it.
     size = math.prod(x.shape[axis] for axis in axes)
 
@@ -101,10 +101,10 @@ def _reduce_moments(x, valid, axes, order):
 
     zero = jnp.zeros(x.shape[1:], x.dtype)
     total = per_lane(zero, lambda s, x, valid: s + jnp.where(valid, x, 0.0) * (1.0 / size))
-    mean = _over_lanes(jnp.sum, total, lanes) * (size / jnp.maximum(count, 1.0))
+    mean = fold_lanes(jnp.sum, total, lanes) * (size / jnp.maximum(count, 1.0))
     center = jnp.expand_dims(mean, lanes)
     widest = per_lane(zero, lambda s, x, valid: jnp.maximum(s, jnp.where(valid, jnp.abs(x - center), 0.0)))
-    scale = _over_lanes(jnp.max, widest, lanes)
+    scale = fold_lanes(jnp.max, widest, lanes)
     inverse = jnp.expand_dims(jnp.where(scale > 0.0, 1.0 / scale, 0.0), lanes)
 
     def add_powers(sums, x, valid):
@@ -118,24 +118,9 @@ def _reduce_moments(x, valid, axes, order):
         "count": jnp.broadcast_to(count, mean.shape),
         "mean": mean,
         "scale": scale,
-        "powers": [_over_lanes(jnp.sum, power, lanes) for power in powers],
-        "nonfinite": _over_lanes(jnp.sum, bad, lanes),
+        "powers": [fold_lanes(jnp.sum, power, lanes) for power in powers],
+        "nonfinite": fold_lanes(jnp.sum, bad, lanes),
     }
-
-
-def block_sum(x, axes):
-    """Return the sum over the sample axes of a block: rows first, in full-width vector code, then lanes."""
-    # Without the barrier XLA merges the two sums into one long scalar loop: 8 times slower, and less exact.
-    rows = lax.optimization_barrier(x.sum(0))
-    return _over_lanes(jnp.sum, rows, tuple(axis - 1 for axis in axes if axis > 0))
-
-
-def _over_lanes(fold, x, lanes):
-    """Return ``fold`` of ``x`` over its lanes, the axes ``lanes``: (0,), or () to leave it. The first step is vector
-    code, and both are so short that a sum loses little to rounding."""
-    if lanes and len(x) % VECTOR == 0:
-        x = lax.optimization_barrier(fold(x.reshape(-1, VECTOR, *x.shape[1:]), 0))
-    return fold(x, lanes) if lanes else x
 
 
 @storable

@@ -18,8 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .blocks import Added, block_sum
 from .counts import is_count
-from .moments import apply, block_sum, per_sample
+from .moments import apply, per_sample
 from .storage import storable
 
 BINS_PER_OCTAVE = 8
@@ -200,7 +201,7 @@ class ClampSums(NamedTuple):
 
 @storable
 @dataclasses.dataclass(frozen=True)
-class ClampLadder:
+class ClampLadder(Added):
     """What clamping at each of a few thresholds leaves and takes away, for each integral of a family (each pixel).
 
     Attributes:
@@ -210,7 +211,6 @@ class ClampLadder:
 
     thresholds: tuple[float, ...]
     of: Callable[[Any], Any] | None = None
-    pooled = False
 
     def __post_init__(self):
         t = np.asarray(self.thresholds, float)
@@ -225,16 +225,6 @@ class ClampLadder:
             excess = jnp.where(valid, jnp.maximum(c - t, 0.0), 0.0)
             sums.append(jnp.stack([block_sum(x, axes) for x in (kept, kept * kept, excess, excess * excess)], -1))
         return {"sums": jnp.stack(sums, -2), "n": valid.sum(axes)}
-
-    def init(self, record, items=()):
-        return {"sums": np.zeros((*items, len(self.thresholds), 4)), "n": np.zeros(items, np.int64)}
-
-    def add(self, state, record, where=...):
-        state["sums"][where] += record["sums"]
-        state["n"][where] += record["n"]
-
-    def merge(self, a, b):
-        return {k: a[k] + b[k] for k in a}
 
     def result(self, state):
         means = np.moveaxis(per_sample(state["sums"], np.asarray(state["n"])), (-2, -1), (1, 0))
