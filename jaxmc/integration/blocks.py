@@ -1,6 +1,5 @@
 """How tallies fold the samples of a block, rows by lanes, and add up what comes of it."""
 
-import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
@@ -34,15 +33,10 @@ def fold_rows(step, start, valid, *arrays):
 def fold_lanes(fold, x, lanes):
     """Return ``fold`` of ``x`` over its lanes, the axes ``lanes``: (0,), or () to leave it. The first step is vector
     code, and both are so short that a sum loses little to rounding."""
+    # Without the barrier XLA merges the two steps into one long scalar loop.
     if lanes and len(x) % VECTOR == 0:
         x = lax.optimization_barrier(fold(x.reshape(-1, VECTOR, *x.shape[1:]), 0))
     return fold(x, lanes) if lanes else x
-
-
-def block_sum(x, axes):
-    """Return the sum over the sample axes of a block: rows first, in full-width vector code, then lanes."""
-    # Without the barrier XLA merges the two sums into one long scalar loop: 8 times slower, and less exact.
-    return fold_lanes(jnp.sum, lax.optimization_barrier(x.sum(0)), lanes_of(axes))
 
 
 def lanes_of(axes):

@@ -11,6 +11,7 @@ for all integrals of a family; it is ``exact`` where merged states have the same
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .blocks import Added, block_sum
+from .blocks import Added, fold_lanes, fold_rows, lanes_of
 from .counts import is_count
 from .moments import apply, per_sample
 from .storage import storable
@@ -219,12 +220,18 @@ class ClampLadder(Added):
 
     def reduce(self, values, valid, axes):
         c = _scalar(self, values)
-        sums = []
-        for t in self.thresholds:
-            kept = jnp.where(valid, jnp.minimum(c, t), 0.0)
-            excess = jnp.where(valid, jnp.maximum(c - t, 0.0), 0.0)
-            sums.append(jnp.stack([block_sum(x, axes) for x in (kept, kept * kept, excess, excess * excess)], -1))
-        return {"sums": jnp.stack(sums, -2), "n": valid.sum(axes)}
+
+        def add_row(t, r, sums, keep, c):
+            kept, excess = jnp.where(keep, jnp.minimum(c, t), 0.0), jnp.where(keep, jnp.maximum(c - t, 0.0), 0.0)
+            return [s + x for s, x in zip(sums, (kept, kept * kept, excess, excess * excess), strict=True)]
+
+        def at(t):
+            sums = fold_rows(partial(add_row, t), [jnp.zeros(c.shape[1:], c.dtype)] * 4, valid, c)
+            return jnp.stack([fold_lanes(jnp.sum, x, lanes_of(axes)) for x in sums], -1)
+
+        # A loop, so that the time to compile does not grow with the number of thresholds.
+        sums = lax.map(at, jnp.array(self.thresholds, c.dtype))
+        return {"sums": jnp.moveaxis(sums, 0, -2), "n": valid.sum(axes)}
 
     def result(self, state):
         means = np.moveaxis(per_sample(state["sums"], np.asarray(state["n"])), (-2, -1), (1, 0))
