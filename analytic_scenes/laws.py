@@ -27,10 +27,10 @@ class Nodes(NamedTuple):
 class Law(NamedTuple):
     """Variance of one sample, and its kurtosis: fourth central moment / variance^2, None where nothing varies.
 
-    Either is None too where it is not known, or infinite.
+    A law that is known in part has None for what is not known, or not finite.
     """
 
-    variance: float | None
+    variance: float
     kurtosis: float | None
 
 

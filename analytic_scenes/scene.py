@@ -7,6 +7,7 @@ The closed forms of this package are written with ``jax.numpy``. They follow the
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -36,6 +37,10 @@ class _Deferred:
         record.__dict__[self.name] = value
 
 
+def _deferred() -> Any:
+    return _Deferred()  # which type checkers take for what it holds
+
+
 @dataclasses.dataclass(frozen=True)
 class AnalyticScene:
     """An integrand whose integral is known in closed form.
@@ -60,9 +65,9 @@ class AnalyticScene:
 
     name: str
     integrand: mc.Integrand
-    exact: float = _Deferred()
-    exact_variance: float | None = _Deferred()
-    exact_kurtosis: float | None = _Deferred()
+    exact: float = _deferred()
+    exact_variance: float | None = _deferred()
+    exact_kurtosis: float | None = _deferred()
     derivatives: Mapping[str, float | np.ndarray]
     source: str
     formula: Callable | None = None
