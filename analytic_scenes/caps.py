@@ -82,17 +82,24 @@ def caps_overlap(first, second) -> jax.Array:
     (axis_1, cos_1), (axis_2, cos_2) = (first[:3], first[3]), (second[:3], second[3])
     sin_1, sin_2 = jnp.sqrt(1.0 - cos_1**2), jnp.sqrt(1.0 - cos_2**2)
     cos_apart = jnp.clip(axis_1 @ axis_2, -1.0, 1.0)
-    crosses = jnp.abs(cos_apart - cos_1 * cos_2) < sin_1 * sin_2
+    # About one axis circles never cross, though by rounding they may seem to where they are one.
+    crosses = (jnp.abs(cos_apart - cos_1 * cos_2) < sin_1 * sin_2) & (jnp.abs(cos_apart) < 1.0)
     safe = jnp.where(crosses, cos_apart, cos_1 * cos_2)
     sin_apart = jnp.sqrt(1.0 - safe**2)
     # Half the azimuth of either arc about its own axis, and the angle between the circles.
-    half_1 = jnp.arccos((cos_2 - safe * cos_1) / (sin_apart * sin_1))
-    half_2 = jnp.arccos((cos_1 - safe * cos_2) / (sin_apart * sin_2))
-    corner = jnp.arccos((safe - cos_1 * cos_2) / (sin_1 * sin_2))
+    half_1 = _angle((cos_2 - safe * cos_1) / (sin_apart * sin_1))
+    half_2 = _angle((cos_1 - safe * cos_2) / (sin_apart * sin_2))
+    corner = _angle((safe - cos_1 * cos_2) / (sin_1 * sin_2))
     lens = 2 * (jnp.pi - corner - half_1 * cos_1 - half_2 * cos_2)
     is_inside = cos_apart > cos_1 * cos_2
     smaller = 2 * jnp.pi * (1.0 - jnp.maximum(cos_1, cos_2))
     return jnp.where(crosses, lens, jnp.where(is_inside, smaller, 0.0))
+
+
+def _angle(cosine):
+    """Return arccos(cosine), with the derivative 0 where rounding has taken the cosine out of (-1, 1)."""
+    inside = jnp.abs(cosine) < 1.0
+    return jnp.where(inside, jnp.arccos(jnp.where(inside, cosine, 0.0)), jnp.where(cosine > 0.0, 0.0, jnp.pi))
 
 
 def _frames(axis):

@@ -15,7 +15,8 @@ from jax import lax
 import jaxmc as mc
 from analytic_scenes.chains import hemisphere_moments, path_moments
 from analytic_scenes.furnace import enough_bounces, inward_cube, looking_along
-from analytic_scenes.scene import AnalyticScene, value_and_derivatives, variance_and_kurtosis
+from analytic_scenes.laws import Law
+from analytic_scenes.scene import AnalyticScene, closed_form_scene, variance_and_kurtosis
 from jaxmc.transport import rays
 from jaxmc.transport.hits import surface_at
 from jaxmc.transport.paths import trace
@@ -67,18 +68,13 @@ def kirchhoff_room(
     scene = mc.Scene([*faces, *balls])
     ray = (0.1, 0.9, 0.2), (0.58, -0.35, 0.4)
     walk = mc.radiance(scene, *ray, bounces=bounces, directions=directions, lights=lights)
-    arguments = {"radiance": radiance, "albedos": albedos, "ball": ball, "mirror": mirror}
-    exact, derivatives = value_and_derivatives(equilibrium_radiance, **arguments)
-    return AnalyticScene(
-        name=f"Kirchhoff room, {directions} directions, lights={lights}",
-        integrand=dataclasses.replace(walk, fn=_KnownAtTheEnd(walk.fn.strategy), params=(*walk.params, radiance)),
-        exact=exact,
-        exact_variance=0.0 if (directions, lights) == ("cosine", "none") else None,
-        exact_kurtosis=None,
-        derivatives=derivatives,
-        source="Kirchhoff's law of thermal radiation; Helmholtz reciprocity",
-        formula=equilibrium_radiance,
-        arguments=arguments,
+    return closed_form_scene(
+        f"Kirchhoff room, {directions} directions, lights={lights}",
+        equilibrium_radiance,
+        {"radiance": radiance, "albedos": albedos, "ball": ball, "mirror": mirror},
+        dataclasses.replace(walk, fn=_KnownAtTheEnd(walk.fn.strategy), params=(*walk.params, radiance)),
+        "Kirchhoff's law of thermal radiation; Helmholtz reciprocity",
+        law=lambda _: Law(0.0, None) if (directions, lights) == ("cosine", "none") else None,
         geometry="The unit cube with six albedos; in it a diffuse and a mirror sphere. All emit B (1 - reflectance).",
         view=lambda: (scene, looking_along(*ray)),
     )
@@ -121,19 +117,14 @@ def ball_under_sky(
     scene = mc.Scene([mc.Sphere((0.3, 0.2, -0.1), radius, mc.Diffuse(albedo))], sky=sky)
     origin = np.array((3.0, 1.0, 2.0))
     direction = (0.3, 0.2, -0.1) - origin + (0.0, 0.4 * radius, 0.0)
-    variance, kurtosis = variance_and_kurtosis(sky ** np.arange(1, 5) * hemisphere_moments(directions, albedo))
-    arguments = {"albedo": albedo, "sky": sky}
-    exact, derivatives = value_and_derivatives(sky_on_convex_radiance, **arguments)
-    return AnalyticScene(
-        name=f"ball under a constant sky, {directions} directions",
-        integrand=mc.radiance(scene, origin, direction, bounces=bounces, directions=directions, lights="none"),
-        exact=exact,
-        exact_variance=variance,
-        exact_kurtosis=kurtosis,
-        derivatives=derivatives,
-        source="irradiance pi L of an open hemisphere under constant radiance L",
-        formula=sky_on_convex_radiance,
-        arguments=arguments,
+    moments = sky ** np.arange(1, 5) * hemisphere_moments(directions, albedo)
+    return closed_form_scene(
+        f"ball under a constant sky, {directions} directions",
+        sky_on_convex_radiance,
+        {"albedo": albedo, "sky": sky},
+        mc.radiance(scene, origin, direction, bounces=bounces, directions=directions, lights="none"),
+        "irradiance pi L of an open hemisphere under constant radiance L",
+        law=lambda _: Law(*variance_and_kurtosis(moments)),
         geometry=f"A diffuse sphere of radius {radius:g} alone under a sky that is the same everywhere.",
         view=lambda: (scene, looking_along(tuple(origin.tolist()), direction, fov=40.0)),
     )
@@ -267,9 +258,9 @@ def _two_surface_radiance(emissions, albedos, to_itself, to_other, bounces):
 
 
 def _two_surfaces(name, integrand, formula, arguments, moments, geometry, view):
-    exact, derivatives = value_and_derivatives(formula, **arguments)
-    variance, kurtosis = (None, None) if moments is None else variance_and_kurtosis(moments)
-    return AnalyticScene(
-        name, integrand, exact, variance, kurtosis, derivatives, RADIOSITY_SOURCE,
-        formula=formula, arguments=arguments, geometry=geometry, view=view,
-    )  # fmt: skip
+    def law(_):
+        return None if moments is None else Law(*variance_and_kurtosis(moments))
+
+    return closed_form_scene(
+        name, formula, arguments, integrand, RADIOSITY_SOURCE, geometry=geometry, law=law, view=view
+    )

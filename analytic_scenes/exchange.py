@@ -16,8 +16,9 @@ import jaxmc as mc
 from analytic_scenes import sensors, view_factors
 from analytic_scenes.furnace import looking_along
 from analytic_scenes.integrating_sphere import cap_share
+from analytic_scenes.laws import Law
 from analytic_scenes.receivers import cap_to_cap, disk_to_disk, on_disk, on_sphere
-from analytic_scenes.scene import AnalyticScene, value_and_derivatives, variance_and_kurtosis
+from analytic_scenes.scene import AnalyticScene, closed_form_scene, variance_and_kurtosis
 from analytic_scenes.sensors import on_parallelogram
 
 WHITE = 1.0 / math.pi  # the radiance of a surface that emits 1 W/m^2
@@ -249,15 +250,17 @@ def _table_factor(radius, disk_radius, distance):
 def _exchange_scene(name, factor, shape, emission, integrand, lights, section, geometry, view):
     arguments = {"emission": emission, **shape}
     formula = functools.partial(mean_irradiance, factor=factor)
-    exact, derivatives = value_and_derivatives(formula, **arguments)
-    variance, kurtosis = None, None
-    if lights == "none":
-        value = math.pi * emission
-        variance, kurtosis = variance_and_kurtosis([value ** (q - 1) * exact for q in (1, 2, 3, 4)])
-    return AnalyticScene(
-        f"{name}, lights={lights}", integrand, exact, variance, kurtosis, derivatives, SOURCE + section,
-        formula=formula, arguments=arguments, geometry=geometry, view=view,
-    )  # fmt: skip
+    value = math.pi * emission  # of a sample that meets the other surface
+
+    def law(exact):
+        if lights != "none":
+            return None
+        return Law(*variance_and_kurtosis([value ** (q - 1) * exact for q in (1, 2, 3, 4)]))
+
+    name = f"{name}, lights={lights}"
+    return closed_form_scene(
+        name, formula, arguments, integrand, SOURCE + section, geometry=geometry, law=law, view=view
+    )
 
 
 def _view(primitives, origin, target):

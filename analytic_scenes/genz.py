@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxmc as mc
-from analytic_scenes.scene import AnalyticScene, value_and_derivatives, variance_and_kurtosis
+from analytic_scenes.scene import AnalyticScene, Derivatives, value_of, variance_and_kurtosis
 from jaxmc.integration.counts import positive
 
 SOURCE = "Genz, Testing multidimensional integration routines (1984); moments: the same integrals"
@@ -105,16 +105,15 @@ def scene_of_moments(
     error is about 1e-15 mean^2/variance. The kurtosis is None below a relative variance of 1e-3. Raises ``ValueError``
     where a moment leaves the range of float64.
     """
-    evaluated = [value_and_derivatives(moment, {**constants, "q": q}, **arguments) for q in (1, 2, 3, 4)]
-    moments = [value for value, _ in evaluated]
+    moments = [value_of(moment, arguments, {**constants, "q": q}) for q in (1, 2, 3, 4)]
     if not (moments[1] > LEAST_SQUARE and moments[3] < math.inf):
         raise ValueError(f"{name}: values are too small or too large for float64, with moments {moments}")
-    exact, derivatives = evaluated[0]
     variance, kurtosis = variance_and_kurtosis(moments)
     if variance < LEAST_VARIANCE * moments[1]:
         kurtosis = None
     integrand = mc.Integrand(fn, dim, (*arguments.values(), *constants.values()))
-    return AnalyticScene(name, integrand, exact, variance, kurtosis, derivatives, source)
+    derivatives = Derivatives(moment, arguments, {**constants, "q": 1})
+    return AnalyticScene(name, integrand, moments[0], variance, kurtosis, derivatives, source)
 
 
 def _coefficients(dim, difficulty, a):

@@ -13,8 +13,8 @@ import jaxmc as mc
 from analytic_scenes.fresnel_values import dielectric_reflectance, diffuse_internal_reflectance, irradiance_under_water
 from analytic_scenes.furnace import looking_along
 from analytic_scenes.laws import law_of_values
-from analytic_scenes.lone_receiver import BLACK, ORIGIN, UP, closed_form_scene
-from analytic_scenes.scene import AnalyticScene, value_of
+from analytic_scenes.lone_receiver import BLACK, ORIGIN, UP
+from analytic_scenes.scene import AnalyticScene, closed_form_scene, value_of
 
 WIDE = 1e4  # half the side of plates and waters: one part in 1e8 of the light at a distance of 1 comes past them
 BELOW = {"bounces": 1, "directions": "bsdf", "lights": "none"}

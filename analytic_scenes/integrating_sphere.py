@@ -13,7 +13,8 @@ import numpy as np
 from analytic_scenes.cavity import Walk, everywhere, inside_cap, lit_by_a_point, quadratic, wall_radiance
 from analytic_scenes.chains import path_moments, variance_and_kurtosis_of_sum
 from analytic_scenes.furnace import enough_bounces, geometric_sum
-from analytic_scenes.scene import AnalyticScene, value_and_derivatives, variance_and_kurtosis
+from analytic_scenes.laws import Law
+from analytic_scenes.scene import AnalyticScene, closed_form_scene, variance_and_kurtosis
 
 SOURCE = "integrating-sphere theory: Jacquez and Kuppenheim (1955); Fredholm equation with a kernel of rank one"
 NODES = np.polynomial.legendre.leggauss(128)
@@ -63,58 +64,45 @@ def lit_cap(
     if cap_albedo is not None:
         arguments, formula = arguments | {"cap_albedo": cap_albedo}, painted_cap_radiance
     formula = functools.partial(formula, bounces=bounces, fewest=fewest)
-    exact, derivatives = value_and_derivatives(formula, **arguments)
     # Every hit is in the cap with probability f, whatever came before.
     share = (1.0 - math.cos(half_angle)) / 2.0
     chance = 1.0 if survival is None else _probability(survival)
     weights = [chance ** (1 - j) * np.outer((own_albedo**j, albedo**j), (share, 1.0 - share)) for j in range(1, 5)]
     seen = path_moments((emission, 0.0), weights, bounces - fewest)
-    variance, kurtosis = variance_and_kurtosis(path_moments((0.0, 0.0), weights, fewest, last=seen)[:, 1])
+    moments = path_moments((0.0, 0.0), weights, fewest, last=seen)[:, 1]
     edge = math.cos(half_angle)
     walk = Walk(bounces, inside_cap, inside_cap, fewest=fewest, guaranteed=None if survival is None else 0)
     words = [f"sphere lit by a cap of half angle {half_angle:.3g}"]
     words += [f"albedos {own_albedo:g} and {albedo:g}"] if cap_albedo is not None else []
     words += [f"{fewest} to {bounces} bounces"] if fewest > 1 else []
     words += [f"roulette {survival:g}"] if survival is not None else []
-    return AnalyticScene(
-        name=", ".join(words),
-        integrand=wall_radiance(
-            walk, (0.0, 0.0, -1.0), radius=radius, survival=chance,
-            lamp=(emission, 0.0, edge), paint=(own_albedo, albedo, edge),
-        ),
-        exact=exact,
-        exact_variance=variance,
-        exact_kurtosis=kurtosis,
-        derivatives=derivatives,
-        source=SOURCE,
-        formula=formula,
-        arguments=arguments,
+    lamp, paint = (emission, 0.0, edge), (own_albedo, albedo, edge)
+    return closed_form_scene(
+        ", ".join(words),
+        formula,
+        arguments,
+        wall_radiance(walk, (0.0, 0.0, -1.0), radius=radius, survival=chance, lamp=lamp, paint=paint),
+        SOURCE,
         geometry=f"A hollow diffuse sphere of radius {radius:g}; a cap about its top shines, seen from its bottom.",
-    )  # fmt: skip
+        law=lambda _: Law(*variance_and_kurtosis(moments)),
+    )
 
 
 def smooth_wall(
     emission: float = 2.0, slope: float = 1.5, albedo: float = 0.7, bounces: int = 4, radius: float = 2.0
 ) -> AnalyticScene:
     """Return the radiance that leaves the pole z = R of a wall that emits ``emission`` (1 + ``slope`` z^2/R^2)."""
-    arguments = {"emission": emission, "slope": slope, "albedo": albedo}
-    formula = functools.partial(smooth_wall_radiance, bounces=bounces)
-    exact, derivatives = value_and_derivatives(formula, **arguments)
     # z/R is uniform on [-1, 1], so the mean of its 2i-th power is 1/(2i + 1).
     moments = [emission**q * sum(math.comb(q, i) * slope**i / (2 * i + 1) for i in range(q + 1)) for q in range(1, 5)]
-    variance, kurtosis = variance_and_kurtosis_of_sum(albedo ** np.arange(1, bounces + 1), moments)
     walk = Walk(bounces, quadratic, everywhere)
-    return AnalyticScene(
-        name="sphere with a smooth emission",
-        integrand=wall_radiance(walk, (0.0, 0.0, 1.0), radius=radius, lamp=(emission, slope), paint=(albedo,)),
-        exact=exact,
-        exact_variance=variance,
-        exact_kurtosis=kurtosis,
-        derivatives=derivatives,
-        source=SOURCE,
-        formula=formula,
-        arguments=arguments,
+    return closed_form_scene(
+        "sphere with a smooth emission",
+        functools.partial(smooth_wall_radiance, bounces=bounces),
+        {"emission": emission, "slope": slope, "albedo": albedo},
+        wall_radiance(walk, (0.0, 0.0, 1.0), radius=radius, lamp=(emission, slope), paint=(albedo,)),
+        SOURCE,
         geometry=f"A hollow diffuse sphere of radius {radius:g} that emits more toward its poles, seen at a pole.",
+        law=lambda _: Law(*variance_and_kurtosis_of_sum(albedo ** np.arange(1, bounces + 1), moments)),
     )
 
 
@@ -128,27 +116,20 @@ def lamp_in_sphere(
     """
     if not 0 <= offset < radius or bounces < 1:
         raise ValueError(f"0 <= offset < radius and bounces >= 1 are needed; got {offset}, {radius} and {bounces}")
-    arguments = {"power": power, "offset": offset, "radius": radius, "albedo": albedo}
-    formula = functools.partial(lamp_in_sphere_radiance, bounces=bounces)
-    exact, derivatives = value_and_derivatives(formula, **arguments)
     z, weight = NODES
     reflected = albedo * power / (4 * math.pi**2) * (radius - offset * z)
     reflected /= (radius**2 + offset**2 - 2 * radius * offset * z) ** 1.5
     moments = [weight @ reflected**q / 2 for q in range(1, 5)]
-    variance, kurtosis = variance_and_kurtosis_of_sum(albedo ** np.arange(1, bounces), moments)
     lamp = (power, offset, radius, albedo)
     walk = Walk(bounces - 1, lit_by_a_point, everywhere)
-    return AnalyticScene(
-        name="point lamp in a sphere",
-        integrand=wall_radiance(walk, (1.0, 0.0, 0.0), radius=radius, lamp=lamp, paint=(albedo,)),
-        exact=exact,
-        exact_variance=variance,
-        exact_kurtosis=kurtosis,
-        derivatives=derivatives,
-        source=SOURCE + "; inverse-square law; moments by Gauss-Legendre quadrature",
-        formula=formula,
-        arguments=arguments,
+    return closed_form_scene(
+        "point lamp in a sphere",
+        functools.partial(lamp_in_sphere_radiance, bounces=bounces),
+        {"power": power, "offset": offset, "radius": radius, "albedo": albedo},
+        wall_radiance(walk, (1.0, 0.0, 0.0), radius=radius, lamp=lamp, paint=(albedo,)),
+        SOURCE + "; inverse-square law; moments by Gauss-Legendre quadrature",
         geometry=f"A hollow diffuse sphere of radius {radius:g}; a point lamp hangs {offset:g} above its centre.",
+        law=lambda _: Law(*variance_and_kurtosis_of_sum(albedo ** np.arange(1, bounces), moments)),
     )
 
 

@@ -25,7 +25,10 @@ class Nodes(NamedTuple):
 
 
 class Law(NamedTuple):
-    """Variance of one sample, and its kurtosis: fourth central moment / variance^2, None where nothing varies."""
+    """Variance of one sample, and its kurtosis: fourth central moment / variance^2, None where nothing varies.
+
+    A law that is known in part has None for what is not known, or not finite.
+    """
 
     variance: float
     kurtosis: float | None

@@ -24,7 +24,6 @@ from analytic_scenes.lone_receiver import (
     black_disk,
     black_quad,
     black_sphere,
-    closed_form_scene,
     described,
     law_of_hits,
     law_of_lamp,
@@ -33,7 +32,7 @@ from analytic_scenes.lone_receiver import (
     unit,
     vertices,
 )
-from analytic_scenes.scene import AnalyticScene
+from analytic_scenes.scene import AnalyticScene, closed_form_scene
 from analytic_scenes.sensors import scalar_irradiance
 
 

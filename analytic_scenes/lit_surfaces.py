@@ -18,12 +18,11 @@ from analytic_scenes.lone_receiver import (
     UP,
     black_quad,
     black_sphere,
-    closed_form_scene,
     described,
     law_of_lamp,
     plate_view,
 )
-from analytic_scenes.scene import AnalyticScene
+from analytic_scenes.scene import AnalyticScene, closed_form_scene
 from analytic_scenes.sensors import mean_irradiance, mean_radiance, on_parallelogram
 
 SUN = 1e-3  # angular radius of the distant light; its size and its distance change the answer by 1e-6 of it

@@ -11,7 +11,7 @@ import numpy as np
 
 import jaxmc as mc
 from analytic_scenes import laws
-from analytic_scenes.scene import AnalyticScene, Derivatives, value_of
+from analytic_scenes.scene import AnalyticScene, closed_form_scene
 
 UP = (0.0, 0.0, 1.0)
 ORIGIN = (0.0, 0.0, 0.0)
@@ -43,28 +43,6 @@ def receiver_scene(
     view = view or plate_view(primitives, normal)
     return closed_form_scene(
         name, formula, arguments, integrand, source, geometry=geometry, law=law, constants=constants, view=view
-    )
-
-
-def closed_form_scene(
-    name, formula, arguments, integrand, source, *, geometry, law, view, constants=None, tolerance=1e-12
-) -> AnalyticScene:
-    """Return the record of any integrand whose integral is ``formula``; arguments as in ``receiver_scene``."""
-    exact = value_of(formula, arguments, constants)
-    known = law(exact)
-    return AnalyticScene(
-        name=name,
-        integrand=integrand,
-        exact=exact,
-        exact_variance=known and known.variance,
-        exact_kurtosis=known and known.kurtosis,
-        derivatives=Derivatives(formula, arguments, constants),
-        source=source,
-        formula=formula,
-        arguments={**arguments, **(constants or {})},
-        geometry=geometry,
-        tolerance=tolerance,
-        view=view,
     )
 
 

@@ -18,8 +18,8 @@ import numpy as np
 import jaxmc as mc
 from analytic_scenes.irradiance import sphere_at_irradiance
 from analytic_scenes.laws import Law, law_of_values
-from analytic_scenes.lone_receiver import black_sphere, closed_form_scene, law_of_hits, plate_view, receiver_scene
-from analytic_scenes.scene import AnalyticScene, value_of
+from analytic_scenes.lone_receiver import black_sphere, law_of_hits, plate_view, receiver_scene
+from analytic_scenes.scene import AnalyticScene, closed_form_scene, value_of
 from jaxmc.transport.bsdfs import reflect
 from jaxmc.transport.hits import closest_hit, surface_at
 from jaxmc.transport.rays import ray
@@ -109,14 +109,12 @@ def sphere_light_in_mirror_ball(
     strategy = {"bounces": 1, "directions": directions, "lights": lights}
 
     def law(exact):
-        if not math.isfinite(exact):
-            raise ValueError("the ball must show the whole light, above the horizon; make one smaller or move it")
         if directions != "cosine" or lights != "none":
             return None
         direct = value_of(sphere_at_irradiance, {"emission": emission, "center": center, "radius": radius})
         return law_of_hits((direct, emission), (exact - direct, reflectance * emission))
 
-    return receiver_scene(
+    scene = receiver_scene(
         f"sphere light in a mirror ball, {directions} directions",
         in_mirror_ball_irradiance,
         {"emission": emission, "reflectance": reflectance, "center": center, "radius": radius}
@@ -128,6 +126,9 @@ def sphere_light_in_mirror_ball(
         strategy=strategy,
         view=plate_view([light, ball], sky=0.05, eye=(0.3, -1.5, 0.1)),
     )
+    if not math.isfinite(scene.exact):
+        raise ValueError("the ball must show the whole light, above the horizon; make one smaller or move it")
+    return scene
 
 
 def mirror_ball_caustic(

@@ -199,12 +199,11 @@ def mirror_scene(
     name, formula, arguments, light, mirrors, source, geometry, constants, strategy, law=None, eye=(0.3, -1.5, 0.1)
 ):
     """Return the irradiance from a light and its images; ``law(exact)`` by default is that of one reflection."""
-    direct = _direct(light)
 
     def one_reflection(exact):
         if strategy["directions"] != "cosine" or strategy["lights"] != "none":
             return None
-        shine = light.emission
+        direct, shine = _direct(light), light.emission
         return law_of_hits((direct, shine), (exact - direct, arguments["reflectance"] * shine))
 
     return receiver_scene(

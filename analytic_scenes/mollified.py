@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import jaxmc as mc
 from analytic_scenes.caps import caps_overlap
 from analytic_scenes.laws import Law, law_of_values
-from analytic_scenes.lone_receiver import closed_form_scene
-from analytic_scenes.scene import AnalyticScene, variance_and_kurtosis
+from analytic_scenes.scene import AnalyticScene, closed_form_scene, variance_and_kurtosis
 from jaxmc.testing import DiskMollifier
 
 

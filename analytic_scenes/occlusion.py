@@ -20,14 +20,13 @@ from analytic_scenes.lone_receiver import (
     UP,
     black_quad,
     black_sphere,
-    closed_form_scene,
     law_of_hits,
     plate_view,
     receiver_scene,
     unit,
     vertices,
 )
-from analytic_scenes.scene import AnalyticScene
+from analytic_scenes.scene import AnalyticScene, closed_form_scene
 from analytic_scenes.sensors import scalar_irradiance
 
 WHITE = sky_shares.WHITE

@@ -15,8 +15,8 @@ import numpy as np
 
 import jaxmc as mc
 from analytic_scenes import coverage, laws
-from analytic_scenes.lone_receiver import BLACK, closed_form_scene
-from analytic_scenes.scene import AnalyticScene
+from analytic_scenes.lone_receiver import BLACK
+from analytic_scenes.scene import AnalyticScene, closed_form_scene
 from jaxmc.transport.filters import Filter
 
 DISTANCE = 8.0  # of the film, in pixels

@@ -12,8 +12,7 @@ import jaxmc as mc
 from analytic_scenes.furnace import looking_along
 from analytic_scenes.ggx_values import average_moment, directional_albedo, sampled_moment
 from analytic_scenes.laws import Law
-from analytic_scenes.lone_receiver import closed_form_scene
-from analytic_scenes.scene import AnalyticScene, value_of, variance_and_kurtosis
+from analytic_scenes.scene import AnalyticScene, closed_form_scene, value_of, variance_and_kurtosis
 
 FLOOR = 1e4  # half the side of a floor; one part in 1e8 of the light at height 1 comes past it
 SOURCE = "Heitz 2014; Kulla and Conty 2017; azimuth in closed form, the rest by quadrature"

@@ -17,7 +17,8 @@ import jaxmc as mc
 from analytic_scenes.cavity import Walk, everywhere, wall_radiance
 from analytic_scenes.chains import hemisphere_moments, path_moments
 from analytic_scenes.furnace import furnace_radiance, geometric_sum
-from analytic_scenes.scene import AnalyticScene, value_and_derivatives, variance_and_kurtosis
+from analytic_scenes.laws import Law
+from analytic_scenes.scene import AnalyticScene, closed_form_scene, variance_and_kurtosis
 
 SOURCE = (
     "Arvo and Kirk, Particle transport and image synthesis (1990); Sbert, Random walk radiosity with generalized "
@@ -107,22 +108,16 @@ def path_length(survival: float = 0.8, bounces: int = 6) -> AnalyticScene:
     # P(K >= k) = p^k, so E K^q = sum_k (k^q - (k - 1)^q) p^k.
     k = np.arange(1, bounces + 1)
     moments = [float(np.sum((k**q - (k - 1) ** q) * survival**k)) for q in range(1, 5)]
-    formula = functools.partial(mean_path_length, bounces=bounces)
-    exact, derivatives = value_and_derivatives(formula, survival=survival)
     # The throughput of a path whose albedo is its survival is 1 while it lives.
     walk = Walk(bounces, everywhere, everywhere, fewest=1, guaranteed=0)
-    variance, kurtosis = variance_and_kurtosis(moments)
-    return AnalyticScene(
-        name=f"number of events with survival {survival:g}, at most {bounces}",
-        integrand=wall_radiance(walk, (0.6, 0.0, 0.8), survival=survival, lamp=(1.0,), paint=(survival,)),
-        exact=exact,
-        exact_variance=variance,
-        exact_kurtosis=kurtosis,
-        derivatives=derivatives,
-        source="geometric distribution",
-        formula=formula,
-        arguments={"survival": survival},
+    return closed_form_scene(
+        f"number of events with survival {survival:g}, at most {bounces}",
+        functools.partial(mean_path_length, bounces=bounces),
+        {"survival": survival},
+        wall_radiance(walk, (0.6, 0.0, 0.8), survival=survival, lamp=(1.0,), paint=(survival,)),
+        "geometric distribution",
         geometry=GEOMETRY,
+        law=lambda _: Law(*variance_and_kurtosis(moments)),
     )
 
 
@@ -182,9 +177,8 @@ def _furnace_scene(name, integrand, parameters, moments, geometry):
     albedo, emission, bounces = parameters
     formula = functools.partial(furnace_radiance, bounces=bounces)
     arguments = {"albedo": albedo, "emission": emission}
-    exact, derivatives = value_and_derivatives(formula, **arguments)
-    variance, kurtosis = variance_and_kurtosis(moments)
-    return AnalyticScene(
-        name, integrand, exact, variance, kurtosis, derivatives, SOURCE,
-        formula=formula, arguments=arguments, geometry=geometry,
-    )  # fmt: skip
+
+    def law(_):
+        return Law(*variance_and_kurtosis(moments))
+
+    return closed_form_scene(name, formula, arguments, integrand, SOURCE, geometry=geometry, law=law)

@@ -7,19 +7,46 @@ The closed forms of this package are written with ``jax.numpy``. They follow the
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxmc as mc
+from analytic_scenes.laws import Law
 from analytic_scenes.names import slug
 from jaxmc.backend import QUICK_OPTIONS
+
+
+class _Deferred:
+    """A field of a record that is given as a value, or as a function without arguments that is called for it once."""
+
+    def __set_name__(self, owner, name):
+        self.name = name
+
+    def __get__(self, record, owner=None):
+        if record is None:
+            raise AttributeError(self.name)  # so a dataclass learns that the field has no default
+        value = record.__dict__[self.name]
+        if callable(value):
+            value = record.__dict__[self.name] = value()
+        return value
+
+    def __set__(self, record, value):
+        record.__dict__[self.name] = value
+
+
+def _deferred() -> Any:
+    return _Deferred()  # which type checkers take for what it holds
 
 
 @dataclasses.dataclass(frozen=True)
 class AnalyticScene:
     """An integrand whose integral is known in closed form.
+
+    What is exact may be given as a function without arguments, which is called when the value is first asked for:
+    compiling a closed form takes longer than all else that makes a scene.
 
     name            what it is, in words; unique within ``analytic_scenes.ALL``
     integrand       the estimator under study; its values have shape ()
@@ -38,9 +65,9 @@ class AnalyticScene:
 
     name: str
     integrand: mc.Integrand
-    exact: float
-    exact_variance: float | None
-    exact_kurtosis: float | None
+    exact: float = _deferred()
+    exact_variance: float | None = _deferred()
+    exact_kurtosis: float | None = _deferred()
     derivatives: Mapping[str, float | np.ndarray]
     source: str
     formula: Callable | None = None
@@ -55,6 +82,46 @@ class AnalyticScene:
         return slug(self.name)
 
 
+def closed_form_scene(
+    name: str,
+    formula: Callable,
+    arguments: Mapping,
+    integrand: mc.Integrand,
+    source: str,
+    *,
+    geometry: str,
+    law: Callable[[float], Law | None],
+    view: Callable[[], tuple[mc.Scene, mc.PinholeCamera]] | None = None,
+    constants: Mapping | None = None,
+    tolerance: float = 1e-12,
+) -> AnalyticScene:
+    """Return the record of an integrand whose integral is ``formula(**arguments, **constants)``.
+
+    ``law(exact)`` is the law of one sample, or None where it is not known. ``constants`` are arguments by which the
+    formula is not differentiated.
+    """
+
+    @functools.cache
+    def known():
+        return law(scene.exact) or Law(None, None)
+
+    scene = AnalyticScene(
+        name=name,
+        integrand=integrand,
+        exact=lambda: value_of(formula, arguments, constants),
+        exact_variance=lambda: known().variance,
+        exact_kurtosis=lambda: known().kurtosis,
+        derivatives=Derivatives(formula, arguments, constants),
+        source=source,
+        formula=formula,
+        arguments={**arguments, **(constants or {})},
+        geometry=geometry,
+        tolerance=tolerance,
+        view=view,
+    )
+    return scene
+
+
 def value_and_derivatives(
     formula: Callable, constants: Mapping | None = None, **arguments
 ) -> tuple[float, dict[str, float | np.ndarray]]:
@@ -63,22 +130,19 @@ def value_and_derivatives(
     The arguments are scalars or arrays; a derivative has the shape of its argument, and is a float for a scalar.
     A formula is compiled once for arguments of the same shapes.
     """
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), jax.ensure_compile_time_eval():
         value, gradients = _value_and_gradients(formula, _as_arrays(arguments), dict(constants or {}))
         return float(value), {name: float(g) if g.ndim == 0 else np.asarray(g) for name, g in gradients.items()}
 
 
 def value_of(formula: Callable, arguments: Mapping, constants: Mapping | None = None) -> float:
-    """Evaluate ``formula(**arguments, **constants)`` in float64."""
-    with jax.enable_x64(True):
+    """Evaluate ``formula(**arguments, **constants)`` in float64: a number even while JAX traces."""
+    with jax.enable_x64(True), jax.ensure_compile_time_eval():
         return float(_value(formula, _as_arrays(arguments), dict(constants or {})))
 
 
 class Derivatives(Mapping):
-    """The derivative of a closed form with respect to each of ``arguments``, evaluated when one is first asked for.
-
-    Compiling a derivative takes longer than all else that makes a scene.
-    """
+    """The derivative of a closed form with respect to each of ``arguments``, evaluated when one is first asked for."""
 
     def __init__(self, formula: Callable, arguments: Mapping, constants: Mapping | None = None):
         self._formula, self._arguments, self._constants = formula, arguments, constants

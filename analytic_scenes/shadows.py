@@ -23,7 +23,6 @@ from analytic_scenes.lone_receiver import (
     UP,
     black_quad,
     black_sphere,
-    closed_form_scene,
     described,
     law_of_hits,
     law_of_lamp,
@@ -32,7 +31,7 @@ from analytic_scenes.lone_receiver import (
     unit,
     vertices,
 )
-from analytic_scenes.scene import AnalyticScene
+from analytic_scenes.scene import AnalyticScene, closed_form_scene
 from analytic_scenes.sensors import scalar_irradiance
 
 SOURCE = "boundary integral of the visible part; Arvo, Applications of irradiance tensors (1995)"

@@ -13,8 +13,8 @@ import numpy as np
 
 import jaxmc as mc
 from analytic_scenes import laws
-from analytic_scenes.lone_receiver import UP, black_sphere, closed_form_scene, plate_view, receiver_scene
-from analytic_scenes.scene import AnalyticScene
+from analytic_scenes.lone_receiver import UP, black_sphere, plate_view, receiver_scene
+from analytic_scenes.scene import AnalyticScene, closed_form_scene
 from analytic_scenes.sensors import mean_radiance
 
 SLOPE_SOURCE = "Moon and Spencer, Illumination from a non-uniform sky (1942); Steven and Unsworth (1979)"

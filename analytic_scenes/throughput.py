@@ -19,7 +19,8 @@ from jax.scipy.special import gammainc
 import jaxmc as mc
 from analytic_scenes.enclosures import plates
 from analytic_scenes.furnace import geometric_sum
-from analytic_scenes.scene import AnalyticScene, value_and_derivatives, variance_and_kurtosis
+from analytic_scenes.laws import Law
+from analytic_scenes.scene import AnalyticScene, closed_form_scene, variance_and_kurtosis
 from jaxmc.integration.counts import is_count
 from jaxmc.testing import PathSum, ThroughputProduct
 from jaxmc.transport import rays
@@ -163,28 +164,23 @@ def path_sum(
     """
     albedos = (albedo,) if other_albedo is None else (albedo, other_albedo)
     _check(max(depth, 1), *albedos, 1.0 - escape)
-    law = PathSum(albedo, depth, other_albedo, escape)
-    moments = [law.moment(q) for q in (1, 2, 3, 4)]
+    sums = PathSum(albedo, depth, other_albedo, escape)
+    moments = [sums.moment(q) for q in (1, 2, 3, 4)]
     if not math.isfinite(moments[0]):
         raise ValueError(f"albedos whose product is below 1 are needed; got {albedos}")
     known = [q for q in (2, 4) if math.isfinite(moments[q - 1])]
     variance, kurtosis = variance_and_kurtosis([m if math.isfinite(m) else 0.0 for m in moments])
     arguments = {"albedo": albedo} if other_albedo is None else {"albedo": albedo, "other_albedo": other_albedo}
-    formula = functools.partial(_path_sum_mean, depth=depth, escape=escape)
-    exact, derivatives = value_and_derivatives(formula, **arguments)
     lengths = "all lengths" if depth == math.inf else f"up to {depth} events"
-    return AnalyticScene(
-        name=f"path sum, {lengths}, albedo {' and '.join(f'{x:g}' for x in albedos)}"
+    return closed_form_scene(
+        f"path sum, {lengths}, albedo {' and '.join(f'{x:g}' for x in albedos)}"
         + (f", {escape:g} escape" if escape else ""),
-        integrand=mc.Integrand(_PathSumSample(depth, law.dim, escape), law.dim, tuple(map(float, arguments.values()))),
-        exact=exact,
-        exact_variance=variance if 2 in known else None,
-        exact_kurtosis=kurtosis if 4 in known else None,
-        derivatives=derivatives,
-        source="moments by recursion; Goldie (1991) for the tail",
-        formula=formula,
-        arguments=arguments,
+        functools.partial(_path_sum_mean, depth=depth, escape=escape),
+        arguments,
+        mc.Integrand(_PathSumSample(depth, sums.dim, escape), sums.dim, tuple(map(float, arguments.values()))),
+        "moments by recursion; Goldie (1991) for the tail",
         geometry="No scene: the sum that a path collects in a furnace with uniform directions.",
+        law=lambda _: Law(variance if 2 in known else None, kurtosis if 4 in known else None),
     )
 
 
@@ -250,7 +246,6 @@ class _Walk:
 
 
 def _walk_scene(name, albedos, events, measure, formula, arguments, spread):
-    exact, derivatives = value_and_derivatives(formula, **arguments)
     function, parameters = measure
     if len(albedos) == 1:
         room = [mc.Sphere((0.0, 0.0, 0.0), 2.0, mc.Diffuse(albedos[0]), inward=True)]
@@ -262,9 +257,7 @@ def _walk_scene(name, albedos, events, measure, formula, arguments, spread):
         mc.Scene(room), (0.3, -0.2, 0.5), (0.2, 0.3, -0.9), bounces=events, directions="uniform", lights="none"
     )
     integrand = dataclasses.replace(path, fn=_Walk(path.fn.strategy, function), params=(*path.params, *parameters))
-    return AnalyticScene(
-        name, integrand, exact, *spread, derivatives, SOURCE, formula=formula, arguments=arguments, geometry=geometry
-    )
+    return closed_form_scene(name, formula, arguments, integrand, SOURCE, geometry=geometry, law=lambda _: Law(*spread))
 
 
 def _to_the(throughput, power):

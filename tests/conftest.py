@@ -6,11 +6,13 @@ import pytest
 
 HERE = Path(__file__).parent
 SLOW = set((HERE / "slow.txt").read_text().splitlines())
+LONGEST = "tests/test_readme.py"
 MISSING = pytest.StashKey[set[str]]()  # listed tests that do not exist
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
+    items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))  # so that no worker is left alone with it
     found = {item.nodeid.removeprefix("tests/"): item for item in items}
     for name in SLOW & found.keys():
         found[name].add_marker(pytest.mark.slow)

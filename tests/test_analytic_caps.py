@@ -67,6 +67,27 @@ def test_caps_apart_and_one_in_the_other():
     assert value_of(caps.caps_overlap, {"first": far, "second": small}) == 0.0
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_caps_that_touch_or_are_the_same(seed):
+    rng = np.random.default_rng(seed)
+    axis, half_1, half_2 = unit(rng.normal(size=3)), *rng.uniform(0.05, 1.2, 2)
+    sideways = unit(np.cross(axis, rng.normal(size=3)))
+
+    def overlap(half_1, half_2, apart):
+        other = math.cos(apart) * axis + math.sin(apart) * sideways
+        given = {"first": np.append(axis, math.cos(half_1)), "second": np.append(other, math.cos(half_2))}
+        value, gradient = value_and_derivatives(caps.caps_overlap, **given)
+        assert np.isfinite(np.concatenate(list(gradient.values()))).all()
+        return value
+
+    # A circle that rounding moves by 1e-8 cuts off little of the other one.
+    inside, whole = (2 * math.pi * (1 - math.cos(half)) for half in (min(half_1, half_2), half_1))
+    assert overlap(half_1, half_2, abs(half_1 - half_2)) == pytest.approx(inside, abs=1e-6)
+    assert overlap(half_1, half_2, half_1 + half_2) == pytest.approx(0.0, abs=1e-6)
+    assert overlap(half_1, half_1, 0.0) == pytest.approx(whole, abs=1e-6)
+    assert overlap(half_1, half_1, 1e-9) == pytest.approx(whole, abs=1e-6)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_parallelogram_against_the_polygon_formula(seed):
     rng = np.random.default_rng(seed)

@@ -1,8 +1,10 @@
 """The estimator against truth: every scene whose answer is known, with error bars small enough to be evidence."""
 
+import dataclasses
 import math
 import re
 
+import jax
 import pytest
 
 import analytic_scenes as scenes
@@ -53,6 +55,21 @@ def test_default_scene(scene):
 def test_names_are_unique_and_typeable():
     assert len({scene.name for scene in scenes.ALL}) == len({scene.slug for scene in scenes.ALL}) == len(scenes.ALL)
     assert all(re.fullmatch(r"[a-z0-9][a-z0-9.-]*[a-z0-9]", scene.slug) for scene in scenes.ALL)
+
+
+def test_exact_values_are_evaluated_once_and_when_asked_for():
+    asked = []
+    scene = scenes.AnalyticScene(
+        "two", mc.Integrand(lambda u: 2.0, 1), lambda: asked.append(1) or 2.0, 0.0, None, {}, ""
+    )
+    assert not asked and scene.exact == scene.exact == 2.0 and asked == [1]
+    assert dataclasses.replace(scene, name="three", exact=3.0).exact == 3.0
+
+
+def test_exact_values_are_numbers_inside_jit():
+    lamp = scenes.sphere_light(emission=10.0, radius=0.5, distance=2.0, theta=0.63)
+    assert jax.jit(lambda x: x * lamp.exact)(2.0) == pytest.approx(2.0 * lamp.exact, rel=1e-6)
+    assert isinstance(lamp.exact, float) and isinstance(lamp.exact_variance, float)
 
 
 ABOVE = {"normal": (0.0, 0.0, 1.0)}

@@ -6,6 +6,7 @@ that gets what was said, and how often: kinds of errors by tests, with numbers a
 
 import contextlib
 import copy
+import functools
 import io
 import json
 import os
@@ -93,12 +94,16 @@ def function(u):
 
 
 FIVE = {"top": mc.TopSamples(5)}
-MADE = mc.integrate(function, dim=2, n=1000, indices=range(1000), tallies=FIVE)
+
+
+@functools.cache
+def made():
+    return mc.integrate(function, dim=2, n=1000, indices=range(1000), tallies=FIVE)
 
 
 def stored():
     """Return the bytes of a file of sums, and of one of results."""
-    MADE.save("sums.npz")
+    made().save("sums.npz")
     mc.integrate(function, dim=2, n=1000, tallies={"tail": mc.TailHistogram()}).save("results.npz")
     return [open(name, "rb").read() for name in ("sums.npz", "results.npz")]
 
@@ -132,7 +137,7 @@ def test_files_that_are_damaged(seed):
         assert "broken.npz" in str(error)
         assert open("broken.npz", "rb").read() == broken
     else:
-        assert same(found, MADE)
+        assert same(found, made())
 
 
 LONG = {"dim": 2, "n": 3 * kernel.BLOCK, "tallies": FIVE | {"tail": mc.TailHistogram()}, "chunk": kernel.BLOCK}

@@ -233,7 +233,7 @@ def test_a_blurred_delta_function():
 
 
 def test_a_cone_mirror_sees_the_share_of_its_cone():
-    for cone, light in ((0.3, 0.2), (0.2, 0.3), (0.01, 0.2)):
+    for cone, light in ((0.3, 0.2), (0.2, 0.3), (0.01, 0.2), (0.3, 0.3), (0.7, 0.7)):
         share = min(1.0, (1.0 - math.cos(light)) / (1.0 - math.cos(cone)))
         scene = scenes.cone_mirror(radiance=5.0, reflectance=1.0, cone=cone, light=light)
         assert scene.exact == pytest.approx(5.0 * share, rel=1e-12)

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
+from .blocks import fold_rows
 from .counts import is_count
 from .moments import apply
 from .storage import storable
@@ -91,12 +91,6 @@ class Buckets:
         samples = count.reshape(count.shape + (1,) * (total.ndim - count.ndim))
         mean = np.divide(total, samples, out=np.full(total.shape, np.nan), where=samples > 0)
         return BucketMeans(count, mean)
-
-
-def fold_rows(step, start, valid, *arrays):
-    """Fold ``step(r, sums, valid row, rows...)`` over the rows of a block that any lane wants."""
-    used = valid.any(1).sum()
-    return lax.fori_loop(0, used, lambda r, sums: step(r, sums, valid[r], *(x[r] for x in arrays)), start)
 
 
 def as_array(tally, x):

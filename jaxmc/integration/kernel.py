@@ -15,12 +15,12 @@ from jax import lax
 from jax.sharding import PartitionSpec
 
 from .. import backend
+from .blocks import VECTOR
 from .integrand import SAMPLES
 from .samplers import Index
 
 LANES = backend.CPU_WIDTHS.lanes
 ROWS = 32
-VECTOR = 64  # a number of lanes that vector code divides evenly
 BLOCK = ROWS * LANES
 TOGETHER = 2048  # most lanes of samples that are worked on together
 MEANS = 256  # their means that show how they are spread
@@ -173,6 +173,8 @@ def _evaluate(integrand, tables, seed, base, offset, rows, sampler, tallies, eac
     def point(index):
         return sampler.point(seed, index, *tables)
 
+    # Shapes are asked for before values: with a ``jit`` of its own, what an integrand does is traced once for both.
+    @jax.jit
     def value_of_row(base, offset):
         index, word_axes = _indices_of_row(base, offset, sampler.independent, each)
         if integrand.together:
@@ -185,6 +187,7 @@ def _evaluate(integrand, tables, seed, base, offset, rows, sampler, tallies, eac
         empty = _zeros(jax.eval_shape(records, *args))
         return lax.cond(args[2].max() > 0, records, lambda *_: empty, *args)
 
+    @jax.jit
     def records(base, offset, rows):
         def evaluate_row(r, values):
             return jax.tree.map(lambda all_rows, x: all_rows.at[r].set(x), values, value_of_row(base[r], offset))

@@ -14,27 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .buckets import as_array, fold_rows
+from .blocks import Added, fold_rows
+from .buckets import as_array
 from .counts import is_count
 from .moments import apply, per_sample
 from .storage import storable
 
 LAYERS = 16
-
-
-class _Sums:
-    """What tallies have whose records are added up as they are."""
-
-    pooled = False
-
-    def init(self, record, items=()):
-        return _zeros(record, items)
-
-    def add(self, state, record, where=...):
-        _add(state, record, where)
-
-    def merge(self, a, b):
-        return {k: a[k] + b[k] for k in a}
 
 
 @storable
@@ -55,7 +41,7 @@ class CascadeSums(NamedTuple):
 
 @storable
 @dataclasses.dataclass(frozen=True)
-class Cascade(_Sums):
+class Cascade(Added):
     """Samples split over layers of brightness, for each integral of a family (each pixel).
 
     A sample of brightness L between b_i and b_(i+1) counts in both, with weights linear in 1 / L, so that its light and
@@ -125,7 +111,7 @@ class LayerSums(NamedTuple):
 
 @storable
 @dataclasses.dataclass(frozen=True)
-class Layers(_Sums):
+class Layers(Added):
     """Count and sum of the samples in bins of brightness, for each integral of a family (each pixel).
 
     A value that is not a number goes to the last bin.
@@ -190,14 +176,3 @@ def _split(weights, count, light, columns, valid, axes):
     sums = jnp.moveaxis(sums, -1, 0) if len(axes) == 1 else sums.sum(-1)
     lead, parts = sums.shape[:-1], jnp.split(sums, np.cumsum(sizes)[:-1], axis=-1)
     return [part.reshape(lead + x.shape[2:]) for part, x in zip(parts, columns, strict=True)]
-
-
-def _zeros(record, items):
-    lead = 1 + len(items)
-    whole = ("n", "count")
-    return {k: np.zeros(items + x.shape[lead:], np.int64 if k in whole else float) for k, x in record.items()}
-
-
-def _add(state, record, where):
-    for k in state:
-        state[k][where] += record[k]

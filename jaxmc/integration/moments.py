@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .blocks import fold_lanes, lanes_of
 from .storage import storable
 
 PIECE = 8192  # numbers that are worked on together
@@ -87,23 +88,23 @@ def per_sample(sums, n):
 def _reduce_moments(x, valid, axes, order):
     # Count in at least float32: a bool, a small integer or a half cannot hold the number of samples.
     x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
-    valid = valid.reshape(valid.shape + (1,) * (x.ndim - 2))
-    lanes = tuple(axis - 1 for axis in axes if axis > 0)
-    count = valid.sum(axes).astype(x.dtype)
+    lanes = lanes_of(axes)
+    wanted = valid.sum(0)  # rows of each lane
+    valid, rows = (v.reshape(v.shape + (1,) * (x.ndim - 2)) for v in (valid, wanted))
+    count = fold_lanes(jnp.sum, rows, lanes).astype(x.dtype)
     # Scale before summing, or finite values above 2e34 overflow; the mean need not be exact, deviations make up for it.
     size = math.prod(x.shape[axis] for axis in axes)
 
     def per_lane(start, step):
         """Fold the rows that are wanted, each lane by itself."""
-        used = valid.any(tuple(range(1, valid.ndim))).sum()
-        return lax.fori_loop(0, used, lambda r, sums: step(sums, x[r], valid[r]), start)
+        return lax.fori_loop(0, wanted.max(), lambda r, sums: step(sums, x[r], valid[r]), start)
 
     zero = jnp.zeros(x.shape[1:], x.dtype)
     total = per_lane(zero, lambda s, x, valid: s + jnp.where(valid, x, 0.0) * (1.0 / size))
-    mean = total.sum(lanes) * (size / jnp.maximum(count, 1.0))
+    mean = fold_lanes(jnp.sum, total, lanes) * (size / jnp.maximum(count, 1.0))
     center = jnp.expand_dims(mean, lanes)
     widest = per_lane(zero, lambda s, x, valid: jnp.maximum(s, jnp.where(valid, jnp.abs(x - center), 0.0)))
-    scale = widest.max(lanes)
+    scale = fold_lanes(jnp.max, widest, lanes)
     inverse = jnp.expand_dims(jnp.where(scale > 0.0, 1.0 / scale, 0.0), lanes)
 
     def add_powers(sums, x, valid):
@@ -117,17 +118,9 @@ def _reduce_moments(x, valid, axes, order):
         "count": jnp.broadcast_to(count, mean.shape),
         "mean": mean,
         "scale": scale,
-        "powers": [power.sum(lanes) for power in powers],
-        "nonfinite": bad.sum(lanes),
+        "powers": [fold_lanes(jnp.sum, power, lanes) for power in powers],
+        "nonfinite": fold_lanes(jnp.sum, bad, lanes),
     }
-
-
-def block_sum(x, axes):
-    """Return the sum over the sample axes of a block: rows first, in full-width vector code, then lanes."""
-    for axis in axes:
-        # Without the barrier XLA merges the two sums into one long scalar loop: 8 times slower, and less exact.
-        x = lax.optimization_barrier(x.sum(axis, keepdims=True))
-    return x.reshape([size for axis, size in enumerate(x.shape) if axis not in axes])
 
 
 @storable

@@ -11,6 +11,7 @@ for all integrals of a family; it is ``exact`` where merged states have the same
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,8 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .blocks import Added, fold_lanes, fold_rows, lanes_of
 from .counts import is_count
-from .moments import apply, block_sum, per_sample
+from .moments import apply, per_sample
 from .storage import storable
 
 BINS_PER_OCTAVE = 8
@@ -200,7 +202,7 @@ class ClampSums(NamedTuple):
 
 @storable
 @dataclasses.dataclass(frozen=True)
-class ClampLadder:
+class ClampLadder(Added):
     """What clamping at each of a few thresholds leaves and takes away, for each integral of a family (each pixel).
 
     Attributes:
@@ -210,7 +212,6 @@ class ClampLadder:
 
     thresholds: tuple[float, ...]
     of: Callable[[Any], Any] | None = None
-    pooled = False
 
     def __post_init__(self):
         t = np.asarray(self.thresholds, float)
@@ -219,22 +220,18 @@ class ClampLadder:
 
     def reduce(self, values, valid, axes):
         c = _scalar(self, values)
-        sums = []
-        for t in self.thresholds:
-            kept = jnp.where(valid, jnp.minimum(c, t), 0.0)
-            excess = jnp.where(valid, jnp.maximum(c - t, 0.0), 0.0)
-            sums.append(jnp.stack([block_sum(x, axes) for x in (kept, kept * kept, excess, excess * excess)], -1))
-        return {"sums": jnp.stack(sums, -2), "n": valid.sum(axes)}
 
-    def init(self, record, items=()):
-        return {"sums": np.zeros((*items, len(self.thresholds), 4)), "n": np.zeros(items, np.int64)}
+        def add_row(t, r, sums, keep, c):
+            kept, excess = jnp.where(keep, jnp.minimum(c, t), 0.0), jnp.where(keep, jnp.maximum(c - t, 0.0), 0.0)
+            return [s + x for s, x in zip(sums, (kept, kept * kept, excess, excess * excess), strict=True)]
 
-    def add(self, state, record, where=...):
-        state["sums"][where] += record["sums"]
-        state["n"][where] += record["n"]
+        def at(t):
+            sums = fold_rows(partial(add_row, t), [jnp.zeros(c.shape[1:], c.dtype)] * 4, valid, c)
+            return jnp.stack([fold_lanes(jnp.sum, x, lanes_of(axes)) for x in sums], -1)
 
-    def merge(self, a, b):
-        return {k: a[k] + b[k] for k in a}
+        # A loop, so that the time to compile does not grow with the number of thresholds.
+        sums = lax.map(at, jnp.array(self.thresholds, c.dtype))
+        return {"sums": jnp.moveaxis(sums, 0, -2), "n": valid.sum(axes)}
 
     def result(self, state):
         means = np.moveaxis(per_sample(state["sums"], np.asarray(state["n"])), (-2, -1), (1, 0))

@@ -100,7 +100,9 @@ class Triangle:
         _check_surface("Triangle", self.material, self.emission)
         if is_concrete((self.a, self.b, self.c)):
             a, b, c = (np.asarray(v, np.float64) for v in (self.a, self.b, self.c))
-            _check_area("Triangle", "b - a", b - a, "c - a", c - a)
+            with np.errstate(over="ignore"):
+                u, v = b - a, c - a
+            _check_area("Triangle", "b - a", u, "c - a", v)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -207,8 +209,8 @@ def as_vec3(name: str, value) -> Vec3:
 def as_unit(name: str, value) -> Vec3:
     """Return three numbers as a ``Vec3`` of unit length, or raise ``ValueError``."""
     v = as_vec3(name, value)
-    if is_concrete(v) and not sum(c * c for c in v) > 0.0:
-        raise ValueError(f"{name} must not be zero, got {value!r}")
+    if is_concrete(v) and not 0.0 < sum(c * c for c in v) < np.inf:
+        raise ValueError(f"{name} must not be zero, nor so long that its square is infinite, got {value!r}")
     length = (v.x * v.x + v.y * v.y + v.z * v.z) ** 0.5
     return v / length
 
@@ -250,7 +252,11 @@ def _check_area(name, first, u, second, v):
     if not is_concrete((u, v)):
         return
     u, v = (np.asarray(e, np.float64) for e in (u, v))
-    if not np.linalg.norm(np.cross(u, v)) > 1e-9 * np.linalg.norm(u) * np.linalg.norm(v):
+    if not np.isfinite([u, v]).all():
+        raise ValueError(f"{name} edges must be finite, got {first}={u.tolist()} and {second}={v.tolist()}")
+    # The angle between edges does not depend on their lengths, whose squares may be beyond the range of numbers.
+    along_u, along_v = (e / max(abs(e).max(), np.finfo(float).tiny) for e in (u, v))
+    if not np.linalg.norm(np.cross(along_u, along_v)) > 1e-9 * np.linalg.norm(along_u) * np.linalg.norm(along_v):
         raise ValueError(
             f"{name} has no area: {first}={u.tolist()} and {second}={v.tolist()} are parallel or zero; "
             "give edges that span an area"
