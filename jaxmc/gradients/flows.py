@@ -19,9 +19,11 @@ from ..transport.flats import FlatLight
 from ..transport.lookups import SELECT_LIMIT
 from ..transport.primitives import is_concrete
 from ..transport.vec import Vec3, cross, dot, larger, smaller, where
+from ..transport.warps import grazing
 
 # Whether the derivative of many samples is swept back at once.
 sweeps: ContextVar[bool] = ContextVar("sweeps", default=False)
+GRAZE = 64.0  # times the rounding error of a cosine: below that rounding is a percent of it or more
 GRAIN = 1e-7  # of the squared cosine of a sphere's cone: below that it is rounding
 
 
@@ -236,14 +238,16 @@ def reciprocal(x):
 def carried(face: Faces, point: Vec3, wi: Vec3, distance) -> Vec3:
     """Return where a ray that moves meets a face, ``distance`` away now; derivatives are those of the meeting point.
 
-    Where the ray grazes the face they grow without bound, as the meeting point does move without bound.
+    Where the ray grazes the face they grow as the meeting point moves, up to where rounding hides by how much.
     """
     fixed, place = still(face), point + wi * still(distance)
     is_sphere = fixed.radius > 0.0
     outward = (still(place) - fixed.center) * (1.0 / jnp.where(is_sphere, fixed.radius, 1.0))
     normal = where(is_sphere, outward, cross(face.half_u, face.half_v))
     gap = dot(normal, face.center - place) + jnp.where(is_sphere, face.radius, 0.0)
-    speed = still(dot(normal, wi))
+    speed, fixed_normal = still(dot(normal, wi)), still(normal)
+    least = GRAZE * grazing() * jnp.sqrt(dot(fixed_normal, fixed_normal))
+    speed = jnp.where(jnp.abs(speed) < least, jnp.where(speed > 0.0, least, -least), speed)
     return place + still(wi) * (motion(gap) / jnp.where(speed != 0.0, speed, 1.0))
 
 
