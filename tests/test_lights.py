@@ -251,7 +251,7 @@ def sky_not_weighted(right):
 MUTANTS = [
     (pick_forgotten, lights, "pick_light", lambda: (irradiance(lamps(3)[0], pick="power", lights="nee"), lamps(3)[1])),
     (
-        survivors_not_weighted, paths, "_roulette",
+        survivors_not_weighted, paths, "play_roulette",
         lambda: (
             mc.radiance(
                 analytic_scenes.sphere_furnace(albedo=0.5, emission=1.0, bounces=4).integrand.params[0], (0, 0, 0),
