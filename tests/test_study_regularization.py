@@ -9,11 +9,11 @@ from jaxmc.studies import regularization
 
 @pytest.mark.slow
 def test_the_caustic_is_kept_by_regularization_and_lost_by_clamping(tmp_path):
-    regularization.run(tmp_path, regularization.Settings(spp=2048, width=48, height=32, progress=False))
+    regularization.run(tmp_path, regularization.Settings(spp=1 << 14, width=48, height=32, progress=False))
     values = json.loads((tmp_path / "report.json").read_text())["values"]
     rows = {(row["cure"], row["N"]): row for row in values["cures"]}
     for name in regularization.CURES:
-        long = rows[name, 256]
+        long = rows[name, 2048]
         for n in (16, 128):
             row = rows[name, n]
             error = (row["its stderr"] ** 2 + long["its stderr"] ** 2) ** 0.5
