@@ -58,6 +58,15 @@ def test_derivatives_of_a_smooth_integral(mode, sampler):
     assert found.status == "complete" and found.boundary is None
 
 
+@pytest.mark.parametrize("power, status", [(2.0, "complete"), (-0.9, "tail too heavy")])
+def test_tails_are_told_by_means_of_points_that_fill_space_evenly(power, status):
+    def make(a):
+        return mc.Integrand(lambda u, a: a * u[0] ** power, 1, (a,))
+
+    found = mc.grad_integrate(make, 1.0, n=1 << 14, mode="reverse", sampler=mc.Sobol())
+    assert found.status == status
+
+
 @pytest.mark.slow
 def test_values_and_parameters_of_any_shape():
     def make(m):

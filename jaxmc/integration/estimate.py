@@ -15,6 +15,7 @@ from .storage import storable
 # Cochran's rule says that the mean of n samples is near normal if n exceeds 25 skewness^2. That is the skewness of the
 # law; that of samples is mostly smaller, and the smaller, the lower their mean. So ask for twice as many.
 TOO_SKEW = 50.0
+EVEN_MEANS = 10.0  # half of the variance by two means of points that fill space evenly is no alarm yet
 TOO_PEAKED = 0.05  # share of the sum of fourth powers in the squared sum of squares: few samples make the variance
 
 
@@ -83,7 +84,11 @@ class Estimate:
     def heavy(self) -> bool:
         """Whether few samples carry so much of the variance that no interval can be trusted: skewness^2 above n / 50,
         or kurtosis above n / 20, for some component. False for images, which keep no third moments."""
-        return any(np.any(heavy_tail(m)) for m in self.moments)
+        return any(np.any(heavy_tail(m, self._of_even_means(m))) for m in self.moments)
+
+    def _of_even_means(self, m):
+        """Return whether moments are those of means of points that fill space evenly."""
+        return self.between is not None and np.max(m.n, initial=0) < self.n
 
     @property
     def status(self) -> str:
@@ -167,12 +172,16 @@ def _stderr(m: MomentsResult):
     return np.sqrt(m.variance / np.maximum(m.n, 1))
 
 
-def heavy_tail(m: MomentsResult):
+def heavy_tail(m: MomentsResult, even_means=False):
     """Return for each component whether few samples carry so much of its variance that no interval can be trusted;
-    False where the moments of order 3 and 4 that tell it were not kept."""
+    False where the moments of order 3 and 4 that tell it were not kept.
+
+    ``even_means``: they are means of points that fill space evenly, of which few count for more by nature.
+    """
     if len(m.central) < 3:
         return np.zeros(np.shape(m.mean), bool)
-    return (m.skewness**2 > m.n / TOO_SKEW) | (m.kurtosis > m.n * TOO_PEAKED)
+    n = m.n * (EVEN_MEANS if even_means else 1.0)
+    return (m.skewness**2 > n / TOO_SKEW) | (m.kurtosis > n * TOO_PEAKED)
 
 
 def with_error(value: float, error: float) -> str:

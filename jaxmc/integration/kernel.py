@@ -116,7 +116,7 @@ def lanes_together(n, replicates=None):
     """
     if n is None:
         return TOGETHER
-    wanted = n // (replicates or MEANS)
+    wanted = n // max(replicates or 1, MEANS)
     return min(max(1 << max(wanted, 1).bit_length() - 1, VECTOR), TOGETHER)
 
 
