@@ -14,6 +14,7 @@ from jaxmc.studies.stability import LONG
 CASES = {f"{c.group}: {c.name}": c.make for c in strained_scenes.all_cases() if c.group != LONG}
 # Of rooms in which everything shines take shorter paths: derivatives grow from mirror to mirror.
 CASES |= {f"furnace: {kind}": partial(strained_scenes.furnace, kind, 1.0, 12) for kind in ("sphere", "box", "mirror")}
+UNSEEN = "edge-on: upright: on its plane"  # a lamp in whose plane the point lies: neither it nor its edges are seen
 QUICK = "moved: quad lamp: + 1.3e+06"
 
 
@@ -39,4 +40,4 @@ def test_derivatives_are_numbers(name, monkeypatch):
     made = CASES[name]()
     found = [slopes(part) for part in (made.interior, made.boundary) if part is not None]
     assert all(np.isfinite(part).all() for part in found)
-    assert any(np.any(part) for part in found)
+    assert any(np.any(part) for part in found) == (name != UNSEEN)
