@@ -230,6 +230,11 @@ def _in_cone(face, fixed, point, wi, distance, outside):
     return Flowed(attach(target, place), attach(wi, turned), attach(jnp.ones_like(distance), widening / most))
 
 
+def distance_to(hit):
+    """Return how far a hit is, 1 where there is none."""
+    return jnp.where(hit.face >= 0, hit.distance, 1.0)
+
+
 def reciprocal(x):
     """Return 1 / x, 0 where x is 0."""
     return jnp.where(x != 0.0, 1.0 / jnp.where(x != 0.0, x, 1.0), 0.0)

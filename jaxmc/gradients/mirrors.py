@@ -14,7 +14,7 @@ from ..transport.hits import Hit, closest_hit, surface_at
 from ..transport.primitives import Sphere
 from ..transport.rays import Ray, ray
 from ..transport.vec import Vec3, cross, dot, where
-from .flows import Faces, Flowed, attach, carried, flow, reciprocal, still, turning_at
+from .flows import Faces, Flowed, attach, carried, distance_to, flow, reciprocal, still, turning_at
 
 IN_A_ROW = 2  # plane mirrors that are looked through, one after the other
 
@@ -75,19 +75,18 @@ def flow_through(face_at, hit: Hit, point: Vec3, wi: Vec3, chain: tuple[Shown, .
     ``face_at`` looks up a face in motion. What the sky shows keeps its direction. The result has the point on the first
     mirror and the direction to that.
     """
-    distance, mirror = jnp.where(hit.face >= 0, hit.distance, 1.0), face_at(hit.face)
+    distance, mirror = distance_to(hit), face_at(hit.face)
     # Unfold the way: the images of the point one after the other, and where the last mirror is met.
     seen_from, corner, toward, length, planes, face = point, still(point), still(wi), 0.0, [], mirror
     for shown in chain:
-        step = jnp.where(shown.there, jnp.where(hit.face >= 0, hit.distance, 1.0), 0.0)
+        step = jnp.where(shown.there, distance_to(hit), 0.0)
         planes.append(plane_of(face))
         seen_from = where(shown.there, image(planes[-1], seen_from), seen_from)
         corner, length = corner + toward * step, length + step
         toward = where(shown.there, still(shown.wi), toward)
         hit = Hit(*(jnp.where(shown.there, a, b) for a, b in zip(shown.hit, hit)))
         face = face_at(hit.face)
-    free = hit.face < 0
-    length = length + jnp.where(free, 1.0, hit.distance)
+    free, length = hit.face < 0, length + distance_to(hit)
     moved = flow(face, seen_from, toward, length, is_within(still(face), corner), flat)
     seen = where(free, toward, moved.wi)
     for shown, plane in zip(reversed(chain), reversed(planes)):

@@ -21,7 +21,7 @@ from ..transport.vec import Vec3, cross, dot, where
 from .arcs import Halfspace, cone_around, cone_of_ball, corners_of, middle_of, pyramid, this_side
 from .curves import Place, curves, distances, draw, joined, look, pieces, place_on
 from .disks import ball_around
-from .flows import flow, motion, one_of, still
+from .flows import distance_to, flow, motion, one_of, still
 from .silhouettes import Silhouettes
 from .walks import Vertex, evaluate
 from .world import World
@@ -87,9 +87,8 @@ def on_plane_of(world, found, face):
 
 def follows(world: World, point: Vec3, wi: Vec3, hit: Hit, own) -> Vec3:
     """Return a direction that was drawn at ``point`` in motion: it keeps what it has met, or itself, in place."""
-    is_face = hit.face >= 0
-    kept = flow(world.values.faces.at(hit.face), point, wi, jnp.where(is_face, hit.distance, 1.0), own).wi
-    return where(is_face, kept, wi)
+    kept = flow(world.values.faces.at(hit.face), point, wi, distance_to(hit), own).wi
+    return where(hit.face >= 0, kept, wi)
 
 
 def slip(place: Place, point: Vec3, wi: Vec3, used):
@@ -128,7 +127,7 @@ def shadows(world: World, found: Silhouettes, lamps, strategy, vertex: Vertex, u
     hit = seen.behind
     row = fixed.at(face)
     is_ball = row.radius > 0.0
-    distance = jnp.where(hit.face >= 0, hit.distance, 1.0)
+    distance = distance_to(hit)
     outward = where(is_ball, x + place.wi * distance - row.center, cross(row.half_u, row.half_v))
     shines = jnp.where(dot(outward, place.wi) < 0.0, front, back)
     reached = (hit.face == face) & ((face == SKY) | shines)

@@ -20,7 +20,7 @@ from ..transport.rays import Ray, ray
 from ..transport.sky import sky_radiance
 from ..transport.strategy import POLAR
 from ..transport.vec import Vec3, dot, where
-from .flows import Flowed, attach, carried, flow, ratio, still, sweeps, turning_at
+from .flows import Flowed, attach, carried, distance_to, flow, ratio, still, sweeps, turning_at
 from .mirrors import Shown, flow_through, look_through
 from .world import Row, World
 
@@ -69,10 +69,6 @@ def start(world: World, wo: Ray, wi: Vec3, origin: Vec3) -> tuple[Walk, Any]:
     if rest.sky is not None:
         met = met + where(hit.face < 0, sky_radiance(world.values.sky, wi), black(rest))
     return walk, met
-
-
-def distance_to(hit):
-    return jnp.where(hit.face >= 0, hit.distance, 1.0)
 
 
 def _met(walk: Walk, row: Row, point: Vec3) -> Walk:
@@ -224,8 +220,7 @@ def _moved(world, strategy, vertex, found, face):
     distance, flat = distance_to(found.hit), world.rest.inverse_radius is None
     sample = flow(face, vertex.moving.point, found.wi, distance, own, flat)
     if found.shown:
-        hit = found.hit._replace(distance=distance)
-        seen = flow_through(partial(_face_at, world), hit, vertex.moving.point, found.wi, found.shown, flat)
+        seen = flow_through(partial(_face_at, world), found.hit, vertex.moving.point, found.wi, found.shown, flat)
         sample = Flowed(*(where(found.shown[0].there, a, b) for a, b in zip(seen, sample)))
     wi = where(free, found.wi, sample.wi)
     value, above = evaluate(world, strategy, vertex, wi), dot(vertex.surface.normal, found.wi) > 0.0

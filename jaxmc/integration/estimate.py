@@ -83,7 +83,8 @@ class Estimate:
     @property
     def heavy(self) -> bool:
         """Whether few samples carry so much of the variance that no interval can be trusted: skewness^2 above n / 50,
-        or kurtosis above n / 20, for some component. False for images, which keep no third moments."""
+        or kurtosis above n / 20, for some component; ten times that for means of points that fill space evenly, as
+        reverse mode makes them. False for images, which keep no third moments."""
         return any(np.any(heavy_tail(m, self._of_even_means(m))) for m in self.moments)
 
     def _of_even_means(self, m):
