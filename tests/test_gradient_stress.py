@@ -33,10 +33,11 @@ def slopes(part, n=1024):
     return np.asarray(jax.jit(jax.vmap(slope))(stress.common_points(n, part.dim)))
 
 
+@pytest.mark.parametrize("sampling", ["detached", pytest.param("attached", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", [n if n == QUICK else pytest.param(n, marks=pytest.mark.slow) for n in CASES])
-def test_derivatives_are_numbers(name, monkeypatch):
+def test_derivatives_are_numbers(name, sampling, monkeypatch):
     for function in ("irradiance", "radiance"):
-        monkeypatch.setattr(strained_scenes, function, getattr(mc, f"moving_{function}"))
+        monkeypatch.setattr(strained_scenes, function, partial(getattr(mc, f"moving_{function}"), sampling=sampling))
     made = CASES[name]()
     found = [slopes(part) for part in (made.interior, made.boundary) if part is not None]
     assert all(np.isfinite(part).all() for part in found)

@@ -95,7 +95,7 @@ SPOILED = {
     "outlines": (None, boundary, "of_vertex", unused),
     "edges in a mirror": ("lamp that a mirror's rim cuts", boundary, "in_mirrors", unused),
     "edges of a mirror": (
-        "lamp that a mirror's rim cuts", jumps, "_slips", lambda real: lambda world, window, hit: not window.drawn
+        "lamp that a mirror's rim cuts", jumps, "_slips", lambda real: lambda world, window, hit: not window.follows
     ),
     "mirrors behind edges": ("lamp that a mirror's rim cuts", jumps, "look_through", lambda real: lambda *args: ()),
     "samples in a mirror": ("lamp that a mirror's rim cuts", walks, "look_through", lambda real: lambda *args: ()),

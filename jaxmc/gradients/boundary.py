@@ -15,13 +15,14 @@ from jax import lax
 
 from ..transport import paths
 from ..transport.lights import black
-from ..transport.strategy import Strategy
 from ..transport.vec import where
 from .flows import still
 from .jumps import jump
 from .mirrors import Mirrors
+from .options import MovingStrategy
 from .shadows import Lamp, shadows
 from .silhouettes import Silhouettes
+from .vertices import share_of_emission
 from .walks import as_state, scatter, scatter_at, vertex_of
 from .windows import in_mirrors, of_film, of_vertex
 from .world import world
@@ -35,7 +36,7 @@ class Boundary:
     edges.
     """
 
-    strategy: Strategy
+    strategy: MovingStrategy
     receiver: Any
     found: Silhouettes
     lamps: tuple[Lamp, ...]
@@ -55,6 +56,13 @@ class Boundary:
         return self.strategy.bounces + (1 if self.receiver.is_surface else 0)
 
     @property
+    def has_outlines(self) -> bool:
+        """Whether edges around vertices matter that are not before sampled lights: those of what reflects, or of what
+        directions meet that do not follow it.
+        """
+        return self.vertices > 1 or (self.vertices == 1 and self.strategy.is_attached)
+
+    @property
     def choices(self) -> tuple[str, ...]:
         """What the coordinates decide between those of the two paths."""
         count, film = self.vertices, hasattr(self.receiver, "part")
@@ -63,7 +71,7 @@ class Boundary:
             "film: edge": film,
             "film: edge in a mirror": film and self.chains,
             "shadow: edge": count and self.lamps,
-            "outline: edge": count > 1,
+            "outline: edge": self.has_outlines,
             "vertex: edge in a mirror": count > 1 and self.chains,
             "which mirrors": len(self.chains) > 1,
         }
@@ -113,12 +121,12 @@ class Boundary:
     def _on_film(self, moving, part, importance, chain, choice, u, after):
         """Return what edges on the film add, seen directly and in mirrors."""
         bounces, window = self.strategy.bounces, of_film(moving, part, importance)
-        along = self._radiance(moving, u, after, bounces, bounces, emits=True)
+        along = self._radiance(moving, u, after, bounces, bounces)
         total = jump(moving, self.found, window, choice("film: edge"), along)
         if chain is None:
             return total
         shown = in_mirrors(moving, self.found, window, chain)
-        along = self._radiance(moving, u, after, bounces - 1, bounces - shown.passed, emits=True)
+        along = self._radiance(moving, u, after, bounces - 1, bounces - shown.passed)
         seen = jump(moving, self.found, shown, choice("film: edge in a mirror"), along)
         return total + seen * float(len(self.chains))
 
@@ -127,16 +135,23 @@ class Boundary:
         total, most = black(moving.rest), self.vertices - 1
         if self.lamps:
             total = total + shadows(moving, self.found, self.lamps, self.strategy, vertex, choice("shadow: edge"))
-        if not most:
+        if not self.has_outlines:
             return total
         window = of_vertex(moving, self.strategy, vertex)
-        # What is behind an edge and shines was counted among the shadows.
-        along = self._radiance(moving, u, after, most, left, emits=False)
+
+        def what_counts(emission, toward, hit):
+            if not self.strategy.is_attached:
+                # What is behind an edge and shines was counted among the shadows.
+                return black(moving.rest)
+            fixed = jax.tree.map(still, vertex)
+            return emission * share_of_emission(moving, self.strategy, fixed, toward.direction, hit)
+
+        along = self._radiance(moving, u, after, most, left, what_counts)
         total = total + jump(moving, self.found, window, choice("outline: edge"), along)
-        if chain is None:
+        if chain is None or not most:
             return total
         shown = in_mirrors(moving, self.found, window, chain)
-        along = self._radiance(moving, u, after, most - 1, left - shown.passed, emits=True)
+        along = self._radiance(moving, u, after, most - 1, left - shown.passed)
         seen = jump(moving, self.found, shown, choice("vertex: edge in a mirror"), along)
         return total + where(left >= shown.passed, seen, black(moving.rest)) * float(len(self.chains))
 
@@ -165,16 +180,16 @@ class Boundary:
             vertex = jax.tree.map(lambda a, b: jnp.where(k == 0, a, b), begun.vertex, vertex)
         return k, weight, vertex
 
-    def _radiance(self, moving, u, first, most, wanted, emits):
+    def _radiance(self, moving, u, first, most, wanted, what_counts=None):
         """Return a function of a ray and what it meets: the radiance along it after ``wanted`` events, ``most`` at
-        most; what is met itself counts where it ``emits``.
+        most; of the emission there ``what_counts(emission, ray, hit)``, or all.
         """
         rest = moving.rest
 
         def along(toward, hit):
             state = paths.begin(rest, self.strategy, toward, hit)
-            if not emits:
-                state = state._replace(radiance=black(rest))
+            if what_counts:
+                state = state._replace(radiance=what_counts(state.radiance, toward, hit))
             if isinstance(wanted, int):
                 return paths.follow(rest, self.strategy, u, first, state, wanted)[0]
             if most == 0:

@@ -11,16 +11,16 @@ from ..integration.counts import positive
 from ..integration.driver import integrate, integrate_each
 from ..integration.moments import Moments, MomentsResult
 from ..integration.samplers import Independent
-from ..transport.strategy import PathOptions
 from ..transport.vec import Vec3
 from .derivative import Gradient, as_params, boundary_key, derivatives
+from .options import MovingOptions
 from .paths import moving_film
 from .receivers import OnFilm, WeightedFilm
 
 
 def render_grad(
     make: Callable, params, *, spp, boundary_spp=None, bounces=5, adjoint=None, mode="auto", key=0,
-    sampler=Independent(), replicates=None, progress=None, workers=None, chunk=None, **options: Unpack[PathOptions],
+    sampler=Independent(), replicates=None, progress=None, workers=None, chunk=None, **options: Unpack[MovingOptions],
 ) -> Gradient:  # fmt: skip
     """Estimate the derivative of an image, moving silhouettes and shadows included.
 

@@ -2,8 +2,9 @@
 
 With h the distance by which an edge moves over a direction, the integrand is the sum of L h in front and -L h behind.
 A direction that a camera gives follows nothing, so all edges count where radiance jumps, also those between two faces
-that are seen. A direction that was drawn follows what it has met: what is in front moves with its edge and h is 0, but
-for mirrors, since what they show does not. A mirror shows what would be seen from the point's own image behind it.
+that are seen; nor does one of attached sampling. Else a direction that was drawn follows what it has met: what is in
+front moves with its edge and h is 0, but for mirrors, since what they show does not. A mirror shows what would be seen
+from the point's own image behind it.
 
 Source: Reynolds' transport theorem; Li et al. 2018; Zeltner et al. 2021 on attached sampling.
 """
@@ -43,7 +44,7 @@ def jump(world: World, found: Silhouettes, window: Window, u, radiance_along):
     used = given.used & seen.seen & (chosen.density > 0.0) & (place.distance > given.least)
     behind, goes_on = _side(world, place, place.away, -1.0, seen.behind)
     sides = [(-1.0, behind, used & (_slips(world, window, behind) | ~goes_on))]
-    if window.further or not window.drawn:
+    if window.further or not window.follows:
         front, _ = _side(world, place, place.away * -1.0, 1.0, Hit(jnp.inf, -1))
         sides.append((1.0, front, used & _slips(world, window, front)))
     sides = [(sign, Hit(hit.distance, jnp.where(counts, hit.face, -1)), counts) for sign, hit, counts in sides]
@@ -70,7 +71,7 @@ def _both(f, sides):
 def _pieces(world, found, views, window: Window):
     """Return the pieces of all edges that may matter in a window; those of the mirror that it shows are left out."""
     creases: Any = True
-    if window.drawn:
+    if window.follows:
         mirrors = world.mirrors.faces if window.further else ()
         creases = np.array([any(i in mirrors for i in edge.faces) for edge in found.edges])
     primitive = jnp.where(window.passed > 0, jnp.asarray(world.rest.owner)[window.own], -1)
@@ -79,7 +80,7 @@ def _pieces(world, found, views, window: Window):
 
 def _slips(world, window: Window, hit: Hit):
     """Return whether a direction does not stay in place on what it has met."""
-    if not window.drawn:
+    if not window.follows:
         return True
     return is_one_of(world.mirrors.faces, hit.face) & (window.passed < world.mirrors.in_a_row)
 

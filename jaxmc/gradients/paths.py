@@ -8,12 +8,12 @@ from ..transport import integrands
 from ..transport.camera import Camera
 from ..transport.primitives import as_vec3
 from ..transport.scene import Scene
-from ..transport.strategy import PathOptions, Strategy
 from .boundary import Boundary
 from .derivative import WithBoundary
 from .mirrors import Mirrors, mirrors_of
+from .options import MovingOptions, MovingStrategy, of_paths
 from .receivers import AlongRay, AtPoint, OnFilm, OverFace
-from .shadows import lamps_of
+from .shadows import SKY, lamps_of
 from .silhouettes import silhouettes_of
 from .walks import follow, scatter_at
 from .world import values_of, world
@@ -21,12 +21,13 @@ from .world import values_of, world
 UNFIT = ("clamp", "regularize", "hide_emitters", "sample_sky")
 
 
-def moving_paths(scene: Scene, camera: Camera, *, bounces, **options: Unpack[PathOptions]) -> WithBoundary:
+def moving_paths(scene: Scene, camera: Camera, *, bounces, **options: Unpack[MovingOptions]) -> WithBoundary:
     """Return the mean radiance of a camera's image, with all that its derivative needs.
 
     The value is that of ``mc.path_integrand``. Its derivative in ``mc.grad_integrate`` holds with respect to whatever
     the scene and the camera are made of: colours, roughness, indices of refraction, places, sizes, orientations, the
-    camera itself. The interior keeps every drawn direction on what it has met, or on what a plane mirror shows there;
+    camera itself. The interior keeps every drawn direction on what it has met, or on what a plane mirror shows there,
+    or, with ``sampling="attached"``, on the random numbers that drew it;
     the boundary has all edges that move: on the film, before lights, before surfaces that reflect, those of mirrors,
     and each of them seen in plane mirrors.
 
@@ -39,7 +40,8 @@ def moving_paths(scene: Scene, camera: Camera, *, bounces, **options: Unpack[Pat
         scene: what is there.
         camera: where it is seen from.
         bounces: largest number of scattering events; 0 is emission seen directly.
-        options: ``directions``, ``lights``, ``pick``, ``light_points``, ``roulette`` as in ``PathOptions``.
+        options: ``sampling`` as in ``MovingOptions``; ``directions``, ``lights``, ``pick``, ``light_points``,
+            ``roulette`` as in ``PathOptions``.
 
     Raises:
         ValueError: an option out of range, or one that makes another integral of it; a scene or a camera that is none.
@@ -50,7 +52,7 @@ def moving_paths(scene: Scene, camera: Camera, *, bounces, **options: Unpack[Pat
 
 def moving_film(receiver, scene, camera, bounces, options) -> WithBoundary:
     """Return ``moving_paths`` for a class of receivers on a film."""
-    integrand = integrands.path_integrand(scene, camera, bounces=bounces, **options)
+    integrand = integrands.path_integrand(scene, camera, bounces=bounces, **of_paths(options))
     if not camera.antialias:
         raise ValueError(
             "a camera with antialias=False sees points of its film, whose radiance jumps where an edge passes: it has "
@@ -59,24 +61,24 @@ def moving_film(receiver, scene, camera, bounces, options) -> WithBoundary:
     return _moving(scene, receiver(integrand.fn.far), integrand.params[1], bounces, options)
 
 
-def moving_radiance(scene: Scene, origin, direction, *, bounces, **options: Unpack[PathOptions]) -> WithBoundary:
+def moving_radiance(scene: Scene, origin, direction, *, bounces, **options: Unpack[MovingOptions]) -> WithBoundary:
     """Return the radiance that arrives at ``origin`` from ``direction``, with all that its derivative needs; all else
     as in ``moving_paths``. The value is that of ``mc.radiance``. No edge matters on a single ray itself.
     """
-    integrand = integrands.radiance(scene, origin, direction, bounces=bounces, **options)
+    integrand = integrands.radiance(scene, origin, direction, bounces=bounces, **of_paths(options))
     return _moving(scene, AlongRay(), integrand.params[1:], bounces, options)
 
 
-def moving_irradiance(scene: Scene, point, normal, *, bounces, **options: Unpack[PathOptions]) -> WithBoundary:
+def moving_irradiance(scene: Scene, point, normal, *, bounces, **options: Unpack[MovingOptions]) -> WithBoundary:
     """Return the irradiance at a point, with all that its derivative needs, also by ``point`` and ``normal``; all else
     as in ``moving_paths``. The value is that of ``mc.irradiance``.
     """
-    integrand = integrands.irradiance(scene, point, normal, bounces=bounces, **options)
+    integrand = integrands.irradiance(scene, point, normal, bounces=bounces, **of_paths(options))
     return _moving(scene, AtPoint(), integrand.params[1:], bounces, options)
 
 
 def mean_moving_irradiance(
-    scene: Scene, corner, edge_u, edge_v, *, bounces, **options: Unpack[PathOptions]
+    scene: Scene, corner, edge_u, edge_v, *, bounces, **options: Unpack[MovingOptions]
 ) -> WithBoundary:  # fmt: skip
     """Return the mean of ``moving_irradiance`` over a parallelogram that receives light on the side of
     cross(edge_u, edge_v).
@@ -88,14 +90,14 @@ def mean_moving_irradiance(
     return _moving(scene, OverFace(), place, bounces, options)
 
 
-def direct_irradiance(scene: Scene, point, normal, **options: Unpack[PathOptions]) -> WithBoundary:
+def direct_irradiance(scene: Scene, point, normal, **options: Unpack[MovingOptions]) -> WithBoundary:
     """Return the irradiance at a point that comes from lights and sky directly, as ``moving_irradiance`` with 0
     bounces, where lights are sampled alone.
     """
     return moving_irradiance(scene, point, normal, bounces=0, **{"lights": "nee", **options})
 
 
-def mean_direct_irradiance(scene: Scene, corner, edge_u, edge_v, **options: Unpack[PathOptions]) -> WithBoundary:
+def mean_direct_irradiance(scene: Scene, corner, edge_u, edge_v, **options: Unpack[MovingOptions]) -> WithBoundary:
     """Return the mean of ``direct_irradiance`` over a parallelogram, as ``mean_moving_irradiance``."""
     return mean_moving_irradiance(scene, corner, edge_u, edge_v, bounces=0, **{"lights": "nee", **options})
 
@@ -109,7 +111,7 @@ def _moving(scene, receiver, place, bounces, options):
     unfit = [name for name in UNFIT if options.get(name)]
     if unfit:
         raise ValueError(f"moving integrands have no {', '.join(unfit)}: leave it out")
-    strategy = Strategy(bounces, **options)
+    strategy = MovingStrategy(bounces, **options)
     values = values_of(scene, place)
     events = bounces + receiver.is_surface
     words = [f"event {k + 1}, {word}" for k in range(events) for word in strategy.coordinates(scene)]
@@ -120,7 +122,10 @@ def _moving(scene, receiver, place, bounces, options):
     found, flags = silhouettes_of(scene, bounces)
     if found.known and not (found.edges or found.spheres or found.disks):
         return WithBoundary(interior, None, flags, held=2)
-    around = Boundary(strategy, receiver, found, lamps_of(scene), mirrors)
+    lamps = lamps_of(scene)
+    if strategy.is_attached:
+        lamps = tuple(lamp for lamp in lamps if lamp.face != SKY and strategy.lights != "none")
+    around = Boundary(strategy, receiver, found, lamps, mirrors)
     if not (around.choices):
         return WithBoundary(interior, None, flags, held=2)
     labels = around.labels(scene)
@@ -131,7 +136,7 @@ def _moving(scene, receiver, place, bounces, options):
 class Interior:
     """Light transport, found with the scene at rest and evaluated again with the scene in motion."""
 
-    strategy: Strategy
+    strategy: MovingStrategy
     receiver: Any
     mirrors: Mirrors
 

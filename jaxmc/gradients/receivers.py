@@ -14,7 +14,8 @@ from ..transport.paths import finish
 from ..transport.rays import ray
 from ..transport.vec import Vec3, cross, normalize
 from .flows import still
-from .walks import Vertex, Walk, start
+from .vertices import Vertex
+from .walks import Walk, start
 from .windows import Rectangle
 from .world import World
 

@@ -23,7 +23,7 @@ from .curves import Place, curves, distances, draw, joined, look, pieces, place_
 from .disks import ball_around
 from .flows import distance_to, flow, motion, one_of, still
 from .silhouettes import Silhouettes
-from .walks import Vertex, evaluate
+from .vertices import Vertex, evaluate, share_of_emission
 from .world import World
 
 SKY = -1
@@ -111,7 +111,7 @@ def reflects(world: World, strategy, vertex: Vertex, wi: Vec3):
 
 
 def shadows(world: World, found: Silhouettes, lamps, strategy, vertex: Vertex, u):
-    """Return what the edges of shadows add to direct light.
+    """Return what the edges of shadows add to direct light, where sampling is attached to that of sampled lights.
 
     One coordinate draws a light, a silhouette that is seen before it, and a place on that. A place counts only where
     the ray past it meets the light in question, so every light is counted once.
@@ -138,6 +138,9 @@ def shadows(world: World, found: Silhouettes, lamps, strategy, vertex: Vertex, u
     if world.rest.sky is not None:
         light = where(face == SKY, sky_radiance(still(world.values.sky), place.wi), light)
     value = reflects(world, strategy, vertex, place.wi)
+    if strategy.is_attached:
+        # What drawn directions find of the light follows other flows, and is counted with all else that they meet.
+        value = value * still(1.0 - share_of_emission(world, strategy, jax.tree.map(still, vertex), place.wi, met))
     weight = jnp.where(used, -place.stretch / jnp.where(used, chosen.density, 1.0), 0.0)
     return where(used, still(value * light) * (weight * motion(h)), black(world.rest))
 

@@ -1,7 +1,8 @@
 """Paths through a scene in motion: found at rest, then evaluated again with what moves.
 
 Every decision is taken at rest. Then a path moves: directions that were drawn keep what they have met in place, by its
-flow; directions that a camera, a mirror or glass gives, and where they lead, follow from what is before them.
+flow; directions that a camera, a mirror or glass gives, and where they lead, follow from what is before them, and so do
+drawn ones where sampling is attached.
 """
 
 from functools import partial
@@ -12,9 +13,9 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..transport import paths
-from ..transport.bsdfs import Kinds, evaluate_bsdf, kinds_of, power_heuristic, reflect, sample_bsdf
+from ..transport.bsdfs import evaluate_bsdf, kinds_of, power_heuristic, reflect, sample_bsdf
 from ..transport.fresnel import fresnel_dielectric, refract
-from ..transport.hits import Hit, Surface, closest_hit, surface_at, unoccluded
+from ..transport.hits import Hit, closest_hit, surface_at, unoccluded
 from ..transport.lights import black, emission_toward, has_flat_lights, sample_light
 from ..transport.rays import Ray, ray
 from ..transport.sky import sky_radiance
@@ -22,6 +23,7 @@ from ..transport.strategy import POLAR
 from ..transport.vec import Vec3, dot, where
 from .flows import Flowed, attach, carried, distance_to, flow, ratio, still, sweeps, turning_at
 from .mirrors import Shown, flow_through, look_through
+from .vertices import Vertex, drawn, evaluate, share_of_emission
 from .world import Row, World
 
 KEPT = 8  # events of which reverse mode keeps everything
@@ -37,18 +39,6 @@ class Walk(NamedTuple):
     point: Vec3
     turning: Vec3
     reflectance: Any
-    arriving: Vec3
-    beta: Any
-
-
-class Vertex(NamedTuple):
-    """A surface that a path scatters at, at rest and in motion; ``beta`` has the surface's reflectance."""
-
-    surface: Surface
-    kinds: Kinds
-    moving: Surface
-    moving_kinds: Kinds
-    came: Vec3
     arriving: Vec3
     beta: Any
 
@@ -89,17 +79,10 @@ def _vertex(world, surface, walk):
     )  # fmt: skip
 
 
-def evaluate(world: World, strategy, vertex: Vertex, wi: Vec3):
-    """Return pi times BRDF times cosine of a direction in motion, reflectance left out."""
-    cosine = dot(vertex.moving.normal, wi)
-    return evaluate_bsdf(
-        world.moving, strategy.directions, vertex.moving, vertex.moving_kinds, vertex.arriving, wi, cosine
-    )[0]
-
-
 class Found(NamedTuple):
     """What an event has found with the scene at rest: the sample of a light and what it is worth, the direction drawn,
-    what that is worth and where it leads, and the share of the emission there that counts; what plane mirrors show.
+    what that is worth and where it leads, and the share of the emission there that counts; what plane mirrors show, or
+    where sampling is attached the coordinates of the direction.
     """
 
     light: Vec3
@@ -111,6 +94,7 @@ class Found(NamedTuple):
     hit: Hit
     share: Any
     shown: tuple[Shown, ...]
+    coordinates: Any
 
 
 def scatter(world: World, strategy, u, first, walk: Walk, event) -> tuple[Walk, Any]:
@@ -151,11 +135,12 @@ def _find(world, strategy, u, first, surface, came, beta, event, anywhere=False)
     if strategy.lights != "none" and rest.lights:
         light, distance, face, brings = _light(rest, strategy, u, first, surface, kinds, came, anywhere)
     toward = first + strategy.coordinates(rest).index(POLAR)
-    drawn = sample_bsdf(rest, strategy.directions, surface, kinds, came, u[toward], u[toward + 1])
-    onward = ray(surface.point, drawn.wi)
+    coordinates = u[toward], u[toward + 1]
+    sample = sample_bsdf(rest, strategy.directions, surface, kinds, came, *coordinates)
+    onward = ray(surface.point, sample.wi)
     meet = partial(closest_hit, rest)
     hit = meet(onward, surface.face) if rest.size <= paths.FEW else paths.apart(rest, meet, onward, surface.face)
-    weight = drawn.weight
+    weight = sample.weight
     if strategy.roulette:
         after = still(beta) * weight
         survives, inverse = paths.play_roulette(strategy.roulette, after, kinds, event, u[toward + 2])
@@ -165,9 +150,10 @@ def _find(world, strategy, u, first, surface, came, beta, event, anywhere=False)
     hit = hit._replace(face=jnp.where(alive, hit.face, -1))
     share = 0.0
     if rest.lights and not (strategy.lights == "nee" and kinds.specular is None):
-        share = paths.emission_met(world.shares, strategy, onward, hit, drawn.pdf, surface, kinds.specular)
-    shown = look_through(rest, world.mirrors, onward, hit)
-    return _each_time(still(Found(light, distance, face, brings, drawn.wi, weight, hit, share, shown)))
+        share = paths.emission_met(world.shares, strategy, onward, hit, sample.pdf, surface, kinds.specular)
+    shown = () if strategy.is_attached else look_through(rest, world.mirrors, onward, hit)
+    kept = coordinates if strategy.is_attached else None
+    return _each_time(still(Found(light, distance, face, brings, sample.wi, weight, hit, share, shown, kept)))
 
 
 def _light(rest, strategy, u, first, surface, kinds, came, anywhere):
@@ -195,8 +181,12 @@ def _move(world, strategy, vertex: Vertex, found: Found) -> tuple[Walk, Any]:
     if strategy.lights != "none" and rest.lights:
         row, own = world.lights.at(found.face), found.face == vertex.surface.face
         moved = flow(row.face, vertex.moving.point, found.light, found.distance, own, has_flat_lights(rest))
-        value = evaluate(world, strategy, vertex, moved.wi)
-        brought = vertex.beta * row.emission * (value * (moved.ratio * found.brings))
+        value, brings = evaluate(world, strategy, vertex, moved.wi), found.brings
+        if strategy.is_attached:
+            # The two ways to find a light move on their own, and their shares with them.
+            share = share_of_emission(world, strategy, vertex, moved.wi, Hit(found.distance, found.face))
+            brings = brings * ratio(1.0 - share)
+        brought = vertex.beta * row.emission * (value * (moved.ratio * brings))
         gained = where(found.face >= 0, brought, gained)
     row, hit = world.rows.at(found.hit.face), found.hit
     point, wi, weight = _moved(world, strategy, vertex, found, row.face)
@@ -205,17 +195,23 @@ def _move(world, strategy, vertex: Vertex, found: Found) -> tuple[Walk, Any]:
         met = (vertex.surface.face >= 0) & (hit.face < 0)
         gained = gained + where(met, beta * sky_radiance(world.values.sky, wi), black(rest))
     if rest.lights and not (strategy.lights == "nee" and vertex.kinds.specular is None):
-        direct = beta
-        if set(world.mirrors.faces) & set(rest.lights):
+        direct, share = beta, found.share
+        if strategy.is_attached:
+            share = attach(share, share_of_emission(world, strategy, vertex, wi, hit))
+        elif set(world.mirrors.faces) & set(rest.lights):
             # What a mirror itself emits stays at its own points, as where lights are sampled.
             direct = vertex.beta * _moved(world, strategy, vertex, found._replace(shown=()), row.face)[2]
-        gained = gained + direct * (world.emission.at(hit.face) * found.share)
+        gained = gained + direct * (world.emission.at(hit.face) * share)
     walk = Walk(ray(vertex.surface.point, found.wi), hit, None, None, None, wi, beta)
     return _met(walk, row, point), gained
 
 
 def _moved(world, strategy, vertex, found, face):
     """Return how the point that a direction has met, the direction and its weight move."""
+    if strategy.is_attached:
+        sample = drawn(world, strategy, vertex, found.coordinates)
+        wi, change = attach(found.wi, sample.wi), jax.tree.map(ratio, sample.weight)
+        return carried(face, vertex.moving.point, wi, distance_to(found.hit)), wi, change * found.weight
     free, own = found.hit.face < 0, found.hit.face == vertex.surface.face
     distance, flat = distance_to(found.hit), world.rest.inverse_radius is None
     sample = flow(face, vertex.moving.point, found.wi, distance, own, flat)

@@ -14,9 +14,10 @@ from .derivatives import drawn_with
 from .fresnel import fresnel_conductor, fresnel_dielectric, refract
 from .hits import Surface, at
 from .lookups import is_among
-from .microfacets import eval_ggx, pdf_ggx, sample_ggx
+from .microfacets import eval_ggx, ggx_coordinates, pdf_ggx, sample_ggx
 from .vec import Vec3, dot, frame, larger, where
 from .warps import (
+    cosine_hemisphere_coordinates,
     grazing,
     is_in_cone,
     pdf_cone,
@@ -25,6 +26,7 @@ from .warps import (
     sample_cone,
     sample_cosine_hemisphere,
     sample_uniform_hemisphere,
+    uniform_hemisphere_coordinates,
 )
 
 
@@ -103,6 +105,18 @@ def _sample_hemisphere(directions, u1, u2):
         return local, pdf_uniform_hemisphere(), 2.0 * local.z
     local = sample_cosine_hemisphere(u1, u2)
     return local, pdf_cosine_hemisphere(local.z), 1.0
+
+
+def bsdf_coordinates(scene, directions: str, surface: Surface, kinds: Kinds, arriving: Vec3, wi: Vec3):
+    """Return the (u1, u2) that ``sample_bsdf`` maps to a direction above a surface that is not specular."""
+    tangent, bitangent = frame(surface.normal)
+    local = Vec3(dot(wi, tangent), dot(wi, bitangent), dot(wi, surface.normal))
+    pair = (uniform_hemisphere_coordinates if directions == "uniform" else cosine_hemisphere_coordinates)(local)
+    if kinds.rough is None or directions != "bsdf":
+        return pair
+    wo = _viewer(arriving, tangent, bitangent, surface.normal)
+    facet = ggx_coordinates(wo, local, _drawing(scene, kinds.alpha))
+    return tuple(jnp.where(kinds.rough, a, b) for a, b in zip(facet, pair))
 
 
 def sample_diffuse(directions: str, normal: Vec3, u1, u2):

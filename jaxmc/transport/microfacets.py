@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .vec import Vec3, dot, larger, where
-from .warps import grazing, sincos_2pi
+from .warps import grazing, sincos_2pi, turn
 
 
 def ggx_density(h: Vec3, alpha):
@@ -80,6 +80,16 @@ def sample_ggx(wo: Vec3, alpha, u1, u2):
     peak = squared / dot(middle, middle)
     pdf = peak * peak * (0.5 / np.pi) / (alpha * alpha * (wo.z + _stretched(wo.z, alpha)))
     return wi, pdf, jnp.where(wi.z > grazing(), _weight(wo.z, larger(wi.z, grazing()), alpha), 0.0)
+
+
+def ggx_coordinates(wo: Vec3, wi: Vec3, alpha):
+    """Return the (u1, u2) that ``sample_ggx`` maps to ``wi``; both directions are above the surface."""
+    stretched = Vec3(alpha * wo.x, alpha * wo.y, wo.z)
+    stretched = stretched * (1.0 / jnp.sqrt(dot(stretched, stretched)))
+    facet = Vec3((wo.x + wi.x) / alpha, (wo.y + wi.y) / alpha, wo.z + wi.z)
+    middle = facet * (2.0 * dot(stretched, facet) / dot(facet, facet))
+    u2 = jnp.clip(1.0 - middle.z / (1.0 + stretched.z), 0.0, 1.0)
+    return turn(middle.y - stretched.y, middle.x - stretched.x), u2
 
 
 def _weight(cos_o, cos_i, alpha):

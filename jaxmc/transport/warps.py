@@ -7,7 +7,7 @@ Directions are in the local frame whose z axis is the surface normal.
 import jax.numpy as jnp
 import numpy as np
 
-from .vec import Vec3, dot, frame, larger
+from .vec import Vec3, dot, frame, larger, smaller
 
 
 def _coefficients(function, terms, end=0.25):
@@ -60,6 +60,12 @@ def angle(y, x):
     return jnp.where(x < 0.0, np.pi - folded, folded)
 
 
+def turn(y, x):
+    """Return the angle of (x, y) to the x axis as a share of a full turn, in [0, 1]; 0 where both are 0."""
+    share = angle(jnp.abs(y), jnp.where((x == 0.0) & (y == 0.0), 1.0, x)) * (0.5 / np.pi)
+    return jnp.where(y < 0.0, 1.0 - share, share)
+
+
 def _horner(coefficients, x):
     value = coefficients[-1]
     for c in coefficients[-2::-1]:
@@ -89,6 +95,11 @@ def pdf_cosine_hemisphere(cos_theta):
     return cos_theta * (1.0 / np.pi)
 
 
+def cosine_hemisphere_coordinates(local):
+    """Return the (u1, u2) that ``sample_cosine_hemisphere`` maps to a direction, of one below the surface to (x, y)."""
+    return smaller(local.x * local.x + local.y * local.y, 1.0), turn(local.y, local.x)
+
+
 def sample_uniform_hemisphere(u1, u2):
     """Map (u1, u2) to a unit direction with density 1 / (2 pi) per solid angle; cos(theta) = u1, or ``grazing()`` if
     that is more: what this adds to a mean is its square.
@@ -102,6 +113,11 @@ def sample_uniform_hemisphere(u1, u2):
 def pdf_uniform_hemisphere():
     """Density of ``sample_uniform_hemisphere`` per solid angle."""
     return 1.0 / (2.0 * np.pi)
+
+
+def uniform_hemisphere_coordinates(local):
+    """Return the (u1, u2) that ``sample_uniform_hemisphere`` maps to a direction."""
+    return local.z, turn(local.y, local.x)
 
 
 def sample_cone(axis, half_angle, u1, u2):

@@ -1,0 +1,41 @@
+"""How the derivatives of paths are sampled."""
+
+import dataclasses
+from typing import ClassVar
+
+from ..transport.strategy import PathOptions, Strategy
+
+
+class MovingOptions(PathOptions, total=False):
+    """Options of moving integrands: those of path integrands, and
+
+    sampling: what stays of a direction that is drawn while the scene moves: "detached", what it has met; "attached",
+        the random numbers that draw it, so that it turns with its surface and widens with the roughness. Attached
+        derivatives by roughness have less variance under smooth light, and others more, with heavier tails, since all
+        edges count. "detached".
+    """
+
+    sampling: str
+
+
+@dataclasses.dataclass(frozen=True)
+class MovingStrategy(Strategy):
+    """The static options of a moving integrand, see ``MovingOptions``."""
+
+    sampling: str = "detached"
+    known: ClassVar[tuple[str, ...]] = ("detached", "attached")
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.sampling not in self.known:
+            raise ValueError(f"sampling must be one of {', '.join(self.known)}, got {self.sampling!r}")
+
+    @property
+    def is_attached(self) -> bool:
+        """Whether directions keep their random numbers."""
+        return self.sampling == "attached"
+
+
+def of_paths(options: MovingOptions) -> PathOptions:
+    """Return the options of the path integrand that has the same value."""
+    return {name: value for name, value in options.items() if name != "sampling"}  # type: ignore[return-value]
