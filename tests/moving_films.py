@@ -1,4 +1,4 @@
-"""Means over the films of cameras, of scenes in motion: what is seen at first sight, and in plane mirrors."""
+"""Means over the films of cameras, of scenes in motion: what is seen at first sight."""
 
 import film_reference as film
 import jax.numpy as jnp
@@ -17,7 +17,6 @@ def shares(of):
     return lambda **p: of(p, film.view(p["origin"], p["target"], fov=p.get("fov", 40.0)))
 
 
-# ------------------------------------------------------------------------------------------------------ first sight
 # Cameras look along y, at a slant, so that no image is symmetric.
 
 EYE = {"origin": np.array([0.1, -3.0, 0.3]), "target": np.array([0.0, 0.2, 0.1])}
@@ -128,78 +127,4 @@ FRONT = (
 ZOOMS = tuple(
     s._replace(name=f"{s.name}, zoomed", params={**s.params, "fov": 40.0})
     for s in FRONT if s.name in ("sphere", "quad over the film's corner", "sphere before a quad")
-)  # fmt: skip
-
-# ----------------------------------------------------------------------------------------------------- plane mirrors
-# The mirror is in front of the camera, at y = 2; what it shows lies behind the camera.
-
-MIRROR = {
-    "mirror_corner": np.array([-0.9, 2.0, -0.6]), "mirror_edge_u": np.array([1.7, 0.1, 0.0]),
-    "mirror_edge_v": np.array([0.0, -0.1, 1.4]),
-}  # fmt: skip
-BACK = {
-    "corner": np.array([-3.0, -1.5, -0.9]), "edge_u": np.array([0.0, 0.0, 1.9]), "edge_v": np.array([4.3, 0.2, 0.0]),
-}  # fmt: skip
-FROM = {"origin": np.array([0.1, 0.0, 0.05]), "target": np.array([0.0, 2.0, 0.1]), "fov": 52.0}
-BETWEEN = {
-    "near_corner": np.array([-0.5, -0.6, -0.3]), "near_edge_u": np.array([0.5, 0.1, 0.1]),
-    "near_edge_v": np.array([0.1, -0.1, 0.5]),
-}  # fmt: skip
-
-
-def _fixed_view(of):
-    """A formula whose field of view is not a parameter."""
-    return lambda **p: of(p, film.view(p["origin"], p["target"], fov=FROM["fov"]))
-
-
-def _mirror(p):
-    material = mc.Mirror(p["reflectance"])
-    return mc.Quad(p["mirror_corner"], p["mirror_edge_u"], p["mirror_edge_v"], material)
-
-
-def _in_mirror(p, view, points):
-    normal = jnp.cross(p["mirror_edge_u"], p["mirror_edge_v"])
-    return view.on_film(film.mirrored(points, p["mirror_corner"], normal))
-
-
-def _blocker_in_mirror(p):
-    back = quad(p["corner"], p["edge_u"], p["edge_v"], p["emission"])
-    # The lamp shines to +y, where the mirror is.
-    blocker = quad(p["near_corner"], p["near_edge_u"], p["near_edge_v"])
-    return mc.Scene([_mirror(p), back, blocker]), camera(p, FROM["fov"])
-
-
-def _blocked_image(p, view):
-    window = _image(p, view, "mirror_")
-    back = _in_mirror(p, view, film.quad(p["corner"], p["edge_u"], p["edge_v"]))
-    near = _in_mirror(p, view, film.quad(p["near_corner"], p["near_edge_u"], p["near_edge_v"]))
-    return p["reflectance"] * p["emission"] * (film.share(window, back) - film.share(window, back, near))
-
-
-def _ball_in_mirror(p):
-    return mc.Scene([_mirror(p), ball(p["center"], p["radius"], p["emission"])]), camera(p, FROM["fov"])
-
-
-def _sphere_image(p, view):
-    # The film holds the mirror, and the mirror's rim cuts the image.
-    window = _image(p, view, "mirror_")
-    normal = jnp.cross(p["mirror_edge_u"], p["mirror_edge_v"])
-    center = film.mirrored(p["center"], p["mirror_corner"], normal)
-    return p["reflectance"] * p["emission"] * film.sphere_share(view, center, p["radius"], window)
-
-
-def _without_fov(p):
-    return {key: value for key, value in p.items() if key != "fov"}
-
-
-SHINE = {"reflectance": 0.8, "emission": 2.0, **_without_fov(FROM)}
-MIRRORS = (
-    MovingScene("blocker before a wall in a mirror", "film", _blocker_in_mirror,
-                {**MIRROR, **BACK, **BETWEEN, **SHINE}, _fixed_view(_blocked_image), 1),
-    MovingScene("sphere in a mirror", "film", _ball_in_mirror,
-                {**MIRROR, **SHINE, "center": np.array([0.3, -1.0, 0.2]), "radius": 0.4},
-                _fixed_view(_sphere_image), 1),
-    MovingScene("sphere over a mirror's rim", "film", _ball_in_mirror,
-                {**MIRROR, **SHINE, "center": np.array([1.5, -1.0, 0.2]), "radius": 0.6},
-                _fixed_view(_sphere_image), 1),
 )  # fmt: skip

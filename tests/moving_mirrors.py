@@ -6,7 +6,7 @@ What is seen are images: of the lamp in all mirrors, of each mirror and of each 
 import film_reference as film
 import jax.numpy as jnp
 import numpy as np
-from moving_points import UP, MovingScene, quad
+from moving_points import UP, MovingScene, ball, quad
 
 import jaxmc as mc
 
@@ -15,7 +15,10 @@ PARTS = "corner", "edge_u", "edge_v"
 
 def _corners(p, name, mirrors=()):
     """Return the corners of a parallelogram, seen in mirrors, the last one first."""
-    points = film.quad(*(p[name + part] for part in PARTS))
+    return _in_mirrors(p, film.quad(*(p[name + part] for part in PARTS)), mirrors)
+
+
+def _in_mirrors(p, points, mirrors):
     for mirror in mirrors:
         normal = jnp.cross(p[mirror + "edge_u"], p[mirror + "edge_v"])
         points = film.mirrored(points, p[mirror + "corner"], normal)
@@ -51,7 +54,57 @@ def _irradiance(polygon):
     return 0.5 * jnp.abs(jnp.sum(jnp.where(squared > 1e-20, angle * across[:, 2] / size, 0.0)))
 
 
-# --------------------------------------------------------------------------------------------------------- one mirror
+# -------------------------------------------------------------------------------------------------- a mirror on a film
+# The mirror is in front of the camera, at y = 2; what it shows lies behind the camera.
+
+MIRROR = {
+    "mirror_corner": np.array([-0.9, 2.0, -0.6]), "mirror_edge_u": np.array([1.7, 0.1, 0.0]),
+    "mirror_edge_v": np.array([0.0, -0.1, 1.4]),
+}  # fmt: skip
+BACK = {
+    "corner": np.array([-3.0, -1.5, -0.9]), "edge_u": np.array([0.0, 0.0, 1.9]), "edge_v": np.array([4.3, 0.2, 0.0]),
+}  # fmt: skip
+BETWEEN = {
+    "near_corner": np.array([-0.5, -0.6, -0.3]), "near_edge_u": np.array([0.5, 0.1, 0.1]),
+    "near_edge_v": np.array([0.1, -0.1, 0.5]),
+}  # fmt: skip
+SHINE = {"reflectance": 0.8, "emission": 2.0}
+FROM = {"origin": np.array([0.1, 0.0, 0.05]), "target": np.array([0.0, 2.0, 0.1])}
+
+
+def _camera(p):
+    return mc.PinholeCamera(p["origin"], p["target"], UP, 52.0, 4, 4)
+
+
+def _view(p):
+    return film.view(p["origin"], p["target"], fov=52.0)
+
+
+def _blocker_in_mirror(p):
+    # The lamp shines to +y, where the mirror is.
+    return mc.Scene([_mirror(p, "mirror_"), _lamp(p), *_quads(p, "near_")]), _camera(p)
+
+
+def _blocked_image(**p):
+    view = _view(p)
+    window = view.on_film(_corners(p, "mirror_"))
+    back, near = (view.on_film(_corners(p, name, ["mirror_"])) for name in ("", "near_"))
+    return p["reflectance"] * p["emission"] * (film.share(window, back) - film.share(window, back, near))
+
+
+def _ball_in_mirror(p):
+    return mc.Scene([_mirror(p, "mirror_"), ball(p["center"], p["radius"], p["emission"])]), _camera(p)
+
+
+def _sphere_image(**p):
+    # The film holds the mirror, and the mirror's rim cuts the image.
+    view = _view(p)
+    window = view.on_film(_corners(p, "mirror_"))
+    center = _in_mirrors(p, p["center"], ["mirror_"])
+    return p["reflectance"] * p["emission"] * film.sphere_share(view, center, p["radius"], window)
+
+
+# ----------------------------------------------------------------------------------------------- a mirror over a point
 
 WINDOW = {
     "mirror_corner": [-0.7, 1.0, 0.25], "mirror_edge_u": [1.3, 0.1, 0.02], "mirror_edge_v": [0.05, -0.05, 1.3],
@@ -139,6 +192,12 @@ def _through_periscope(**p):
 
 
 MIRRORED = (
+    MovingScene("blocker before a wall in a mirror", "film", _blocker_in_mirror,
+                {**MIRROR, **BACK, **BETWEEN, **SHINE, **FROM}, _blocked_image, 1),
+    MovingScene("sphere in a mirror", "film", _ball_in_mirror,
+                {**MIRROR, **SHINE, **FROM, "center": np.array([0.3, -1.0, 0.2]), "radius": 0.4}, _sphere_image, 1),
+    MovingScene("sphere over a mirror's rim", "film", _ball_in_mirror,
+                {**MIRROR, **SHINE, **FROM, "center": np.array([1.5, -1.0, 0.2]), "radius": 0.6}, _sphere_image, 1),
     MovingScene("lamp that a mirror's rim cuts", "point", _window, WINDOW, _in_window, 1),
     MovingScene("periscope", "point", _periscope_at_point, PERISCOPE | {"point": np.array([0.02, -0.03, 0.0])},
                 _up_periscope, 2),

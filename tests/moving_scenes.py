@@ -7,8 +7,8 @@
 * "ray": (scene, origin, direction), for a radiance.
 """
 
-from moving_films import FRONT, MIRRORS, ZOOMS
+from moving_films import FRONT, ZOOMS
 from moving_mirrors import MIRRORED
 from moving_points import POINTS, RAYS
 
-SCENES = (*FRONT, *ZOOMS, *MIRRORS, *MIRRORED, *POINTS, *RAYS)
+SCENES = (*FRONT, *ZOOMS, *MIRRORED, *POINTS, *RAYS)

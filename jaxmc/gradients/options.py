@@ -1,7 +1,7 @@
 """How the derivatives of paths are sampled."""
 
 import dataclasses
-from typing import ClassVar
+from typing import ClassVar, cast
 
 from ..transport.strategy import PathOptions, Strategy
 
@@ -38,4 +38,4 @@ class MovingStrategy(Strategy):
 
 def of_paths(options: MovingOptions) -> PathOptions:
     """Return the options of the path integrand that has the same value."""
-    return {name: value for name, value in options.items() if name != "sampling"}  # type: ignore[return-value]
+    return cast(PathOptions, {name: value for name, value in options.items() if name != "sampling"})

@@ -27,9 +27,8 @@ def moving_paths(scene: Scene, camera: Camera, *, bounces, **options: Unpack[Mov
     The value is that of ``mc.path_integrand``. Its derivative in ``mc.grad_integrate`` holds with respect to whatever
     the scene and the camera are made of: colours, roughness, indices of refraction, places, sizes, orientations, the
     camera itself. The interior keeps every drawn direction on what it has met, or on what a plane mirror shows there,
-    or, with ``sampling="attached"``, on the random numbers that drew it;
-    the boundary has all edges that move: on the film, before lights, before surfaces that reflect, those of mirrors,
-    and each of them seen in plane mirrors.
+    or with ``sampling="attached"`` the random numbers that drew it; the boundary has all edges that move: on the film,
+    before lights, before surfaces that reflect, those of mirrors, and each of them seen in plane mirrors.
 
     What is not covered is said in ``flags``: edges seen in curved mirrors, through glass or in more than two mirrors,
     primitives that pass through each other, edges that overlap in part. Primitives that share an edge count as one
