@@ -10,9 +10,9 @@ class MovingOptions(PathOptions, total=False):
     """Options of moving integrands: those of path integrands, and
 
     sampling: what stays of a direction that is drawn while the scene moves: "detached", what it has met; "attached",
-        the random numbers that draw it, so that it turns with its surface and widens with the roughness. Attached
-        derivatives by roughness have less variance under smooth light, and others more, with heavier tails, since all
-        edges count. "detached".
+        the random numbers that draw it, so that it turns with its surface and spreads with the roughness. Attached
+        derivatives by the roughness of metals have less variance; most by places have more and heavier tails, since
+        all edges count. "detached".
     """
 
     sampling: str

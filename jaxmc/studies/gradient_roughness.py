@@ -16,9 +16,9 @@ from ..gradients.estimators import (
 )
 from ..gradients.paths import moving_radiance
 from ..transport.integrands import radiance
-from ..transport.materials import RoughConductor
+from ..transport.materials import Diffuse, RoughConductor
 from ..transport.microfacets import eval_ggx, ggx_density, pdf_ggx, sample_ggx
-from ..transport.primitives import Quad
+from ..transport.primitives import Quad, Sphere
 from ..transport.scene import Scene
 from ..transport.vec import Vec3, dot, normalize
 from ..transport.warps import sincos_2pi
@@ -58,6 +58,7 @@ def roughness_task(light, alpha, seed=0) -> Task:
         for width in SOFT:
             parts = derivative_parts(Attached(by_density(light, width)), alpha)
             found.append(Estimator(f"softened by {width:g} of the radius", parts, False))
+        found.append(Estimator(f"{ATTACHED}, with the boundary", derivative_parts(_under_disk, alpha), True))
     return Task(f"roughness {alpha:g} under {LIGHTS[light]}", known(light, alpha).derivative, tuple(found))
 
 
@@ -92,6 +93,14 @@ def _floor(alpha):
 
 def _moving_floor(alpha):
     return moving_radiance(*_metal(alpha), **SKY)
+
+
+def _under_disk(alpha):
+    """A path tracer for the disk, which is a sphere far away, with directions that keep their random numbers."""
+    light, wo = radiance_of("disk"), viewer()
+    floor = Quad([-1.0, -1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], RoughConductor(alpha))
+    lamp = Sphere(Vec3(*light.axis) * 8.0, 8.0 * np.sin(light.half_angle), Diffuse(0.0), emission=1.0)
+    return moving_radiance(Scene([floor, lamp]), wo * 2.0, -wo, bounces=1, lights="none", sampling="attached")
 
 
 @dataclasses.dataclass(frozen=True)

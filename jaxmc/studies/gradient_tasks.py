@@ -14,7 +14,7 @@ from ..gradients.estimators import (
     score_control,
     score_integrand,
 )
-from ..gradients.paths import direct_irradiance
+from ..gradients.paths import direct_irradiance, moving_irradiance
 from ..integration.integrand import Integrand
 from ..transport.integrands import irradiance
 from ..transport.materials import Diffuse
@@ -105,6 +105,7 @@ def _moving(make, known, plain, further, seed):
         Estimator("plain AD, points on lights drawn", derivative_parts(by_light, at), is_sound, plain),
         Estimator("interior", derivative_parts(make, at)[:1], is_sound, plain),
         Estimator("interior + boundary", derivative_parts(make, at), True),
+        Estimator("attached directions + boundary", derivative_parts(Attached(make), at), True),
         *further,
         *differences(known, argument, {"": by_light}, at),
     ]
@@ -188,6 +189,16 @@ class Plain:
 
     def __call__(self, value):
         return irradiance(*self.scenes.scene(value), bounces=0, lights=self.lights)
+
+
+@dataclasses.dataclass(frozen=True)
+class Attached:
+    """Makes an irradiance that is found by drawn directions, which keep their random numbers, with its boundary."""
+
+    scenes: Shadow | MovingLight
+
+    def __call__(self, value):
+        return moving_irradiance(*self.scenes.scene(value), bounces=0, lights="none", sampling="attached")
 
 
 @dataclasses.dataclass(frozen=True)

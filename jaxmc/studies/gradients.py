@@ -109,7 +109,7 @@ WORDS = (
     "The same shadow, but the receiver moves: plain automatic differentiation sees the light come nearer and not the "
     "shadow move against it. It is wrong by a factor of 21, with a small error bar.",
     "A sphere light moves to the side and nothing is before it. Points drawn on the light move with it and bring the "
-    "whole derivative; drawn directions do not, and miss it all. No boundary term is needed.",
+    "whole derivative, and no boundary term is needed; drawn directions do not, and miss it all but for that.",
     "All light in a closed room comes by up to 4 events. An albedo can weigh a path, or be the probability to survive. "
     "The latter is a jump for fixed random numbers, which the score sees, and its control makes almost as calm as "
     "weights; differentiating such a walk itself gives 0.",
@@ -166,8 +166,8 @@ def _show_roughness(report, by_light, found):
         "A GGX metal seen at 45 degrees, under a constant sky, a smooth lobe, and a disk with a sharp edge; the latter "
         "two 0.15 radians beside the mirror direction. **Attached**: drawn directions move with roughness. **Score**: "
         "they stay, and the derivative is that of the BRDF. The **control** takes a multiple of the score off, by an "
-        "independent pilot. Under the disk what is attached misses that directions cross its edge, and softening the "
-        "edge trades that bias for variance."
+        "independent pilot. Under the disk what is attached misses that directions cross its edge: an integral along "
+        "the edge brings that back, and softening the edge trades the bias for variance."
     )
     fig, axes = plot.panels(len(by_light), 3, (4.3, 4.0))
     rows, compared = [], []
