@@ -2,8 +2,9 @@
 
     python benchmarks/gradient_checks.py [--scenes 0 1 2 3 4 5 6 7 8 9 10 11] [--n 67108864]
 
-Each scene has a floor, a wall that may be a mirror, a lamp, a box, a ball and a sheet at random places. Five numbers
-move: the lamp, the box, the ball, an albedo and the camera. ``mc.gradcheck`` says whether the derivative of the mean of
+Each scene has a floor, a wall that may be a mirror, a lamp, a box, a ball and a sheet at random places, drawn anew
+where one passes through another: where they meet is an edge that is not covered, as a flag says. Five numbers move: the
+lamp, the box, the ball, an albedo and the camera. ``mc.gradcheck`` says whether the derivative of the mean of
 the image is biased, and which bias it would have found. All of it is in ``benchmarks/results/gradient_checks.json``;
 scenes that are not asked for stay there as they are.
 """
@@ -24,8 +25,16 @@ WORDS = ("verdict", "gradient", "difference", "bias", "error", "p", "detectable"
 
 
 def random_scene(number):
-    """Return parameters, and a function of them that returns (scene, camera)."""
+    """Return parameters, and a function of them that returns (scene, camera); nothing in it passes through another."""
     rng = np.random.default_rng([7, number])
+    while True:
+        params, make = anything(number, rng)
+        if not mc.moving_paths(*make(params), bounces=1).flags:
+            return params, make
+
+
+def anything(number, rng):
+    """Return a scene as ``random_scene`` does, wherever its parts are."""
     lamp, size = rng.uniform([-0.8, -0.8, 1.8], [0.2, 0.2, 2.2]), rng.uniform(0.4, 0.9)
     box, ball = rng.uniform([-0.6, -0.6, 0.35], [0.0, 0.5, 0.8]), rng.uniform([0.2, -0.5, 0.3], [0.8, 0.5, 0.9])
     sheet, angle = rng.uniform([-0.3, -0.4, 1.1], [0.5, 0.3, 1.4]), rng.uniform(0.0, 1.5)
