@@ -37,13 +37,13 @@ def _lamp(p):
     return quad(*(p[part] for part in PARTS), p["emission"])
 
 
-def _from_point(p, points):
+def from_point(p, points):
     """Return where points over a receiver appear on the plane above it."""
     directions = points - p["point"]
     return directions[:, :2] / directions[:, 2:]
 
 
-def _irradiance(polygon):
+def irradiance_of(polygon):
     """Return the irradiance of a polygon of radiance 1, seen on a plane over the receiver. Source: Lambert (1760)."""
     corners = jnp.concatenate([polygon, jnp.ones_like(polygon[:, :1])], axis=1)
     after = jnp.roll(corners, -1, axis=0)
@@ -124,11 +124,11 @@ def _window(p):
 
 def _in_window(**p):
     def seen(name, *mirrors):
-        return _from_point(p, _corners(p, name, mirrors))
+        return from_point(p, _corners(p, name, mirrors))
 
     lit = film.within(seen("", "mirror_"), seen("mirror_"))
     hidden = [film.within(lit, seen("near_")), film.within(lit, seen("far_", "mirror_"))]
-    return p["reflectance"] * p["emission"] * (_irradiance(lit) - sum(map(_irradiance, hidden)))
+    return p["reflectance"] * p["emission"] * (irradiance_of(lit) - sum(map(irradiance_of, hidden)))
 
 
 # -------------------------------------------------------------------------------------------------------- two mirrors
@@ -154,14 +154,14 @@ def _periscope_at_point(p):
 
 def _up_periscope(**p):
     def seen(name, *mirrors):
-        return _from_point(p, _corners(p, name, mirrors))
+        return from_point(p, _corners(p, name, mirrors))
 
     direct = seen("")
-    direct = _irradiance(direct) - _irradiance(film.within(direct, seen("near_")))
+    direct = irradiance_of(direct) - irradiance_of(film.within(direct, seen("near_")))
     once = film.within(seen("", "high_"), seen("high_"))
-    once = _irradiance(once) - _irradiance(film.within(once, seen("far_", "high_")))
+    once = irradiance_of(once) - irradiance_of(film.within(once, seen("far_", "high_")))
     twice = _twice(seen)
-    twice = _irradiance(twice) - sum(_irradiance(film.within(twice, hidden)) for hidden in _hiding(seen))
+    twice = irradiance_of(twice) - sum(irradiance_of(film.within(twice, hidden)) for hidden in _hiding(seen))
     return p["emission"] * (direct + p["reflectance"] * once + p["reflectance"] ** 2 * twice)
 
 

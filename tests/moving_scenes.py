@@ -7,8 +7,9 @@
 * "ray": (scene, origin, direction), for a radiance.
 """
 
+from moving_contacts import CONTACTS
 from moving_films import FRONT, ZOOMS
 from moving_mirrors import MIRRORED
 from moving_points import POINTS, RAYS
 
-SCENES = (*FRONT, *ZOOMS, *MIRRORED, *POINTS, *RAYS)
+SCENES = (*FRONT, *ZOOMS, *CONTACTS, *MIRRORED, *POINTS, *RAYS)

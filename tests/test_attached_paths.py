@@ -1,17 +1,26 @@
 """Attached sampling of whole paths: drawn directions keep their random numbers, and all edges count."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import two_bounce_reference
-from test_moving_paths import BY_NAME, KINDS, check, derivatives_of
+from test_moving_paths import (
+    BY_NAME,
+    KINDS,
+    check,
+    check_that_nothing_changes,
+    derivatives_of,
+    turned,
+)
 
 import jaxmc as mc
 from analytic_scenes.irradiance import corner_rectangle_irradiance
 from analytic_scenes.rough_lights import HALF_ANGLE, light_direction, rough_metal_under, viewer
 from analytic_scenes.scene import value_and_derivatives
-from jaxmc.gradients import jumps, shadows, walks, windows
+from jaxmc.gradients import boundary, jumps, shadows, walks, windows
 from jaxmc.transport import microfacets, warps
 from jaxmc.transport.vec import Vec3
 
@@ -122,6 +131,78 @@ def test_roughness_under_smooth_light_and_under_a_small_lamp(light):
         assert abs(inside.mean - exact) > 20.0 * inside.stderr
 
 
+# ------------------------------------------------------------------------------------------- beside detached sampling
+
+
+def studio(params, **options):
+    """A coloured metal under a sheet, a ball, and three lamps: a flat one, a ball and a box."""
+    copper = mc.RoughConductor(params["roughness"], (0.9, 0.6, 0.4))
+    scene = mc.Scene([
+        mc.Quad((-1.5, -1.5, 0.0), (3.0, 0.0, 0.0), (0.0, 3.0, 0.0), copper),
+        mc.Quad((-1.2, 0.2, 1.3), (0.0, 0.7, 0.1), (0.7, 0.0, 0.2), mc.Diffuse(0.1), emission=3.0, two_sided=True),
+        mc.Sphere((0.8, -0.3, 1.1), 0.2, mc.Diffuse(0.2), emission=(2.0, 4.0, 6.0)),
+        mc.Quad((-0.2, -0.6, 0.7), (0.0, 0.6, 0.0), (0.5, 0.1, 0.2), mc.Diffuse(0.5)),
+        mc.Sphere((-0.5, -0.4, 0.4), 0.25, mc.Diffuse((0.7, 0.5, 0.3))),
+        mc.Box((0.3, 0.7, 0.3), (0.3, 0.2, 0.3), material=mc.Diffuse(0.3), emission=1.5, two_sided=True),
+    ], sky=0.2)  # fmt: skip
+    return mc.moving_radiance(
+        scene, (params["eye"], -1.6, 1.0), (0.05 - params["eye"], 1.5, -1.0), bounces=2, **options
+    )
+
+
+STUDIO = {"roughness": np.array(0.35), "eye": np.array(0.1)}
+OPTIONS = (
+    {"pick": "power"},
+    {"pick": "distance", "light_points": "solid angle"},
+    {"light_points": "area", "roulette": 0.7},
+    {"directions": "cosine"},
+    {"directions": "uniform", "lights": "nee"},
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", OPTIONS)
+def test_every_option_agrees_with_detached_sampling(options):
+    both = [
+        mc.grad_integrate(lambda p, word=word: studio(p, sampling=word, **options), STUDIO, n=1 << 19, key=1)
+        for word in ("attached", "detached")
+    ]
+    for name in STUDIO:
+        error = np.hypot(*[found.stderr[name] for found in both])
+        assert np.all(np.abs(both[0].mean[name] - both[1].mean[name]) <= 5.0 * error)
+        assert np.all(error < 0.1 * np.max(np.abs(both[1].mean[name])))
+
+
+@pytest.mark.slow
+def test_turning_a_room_changes_nothing(monkeypatch):
+    """Directions are drawn in frames that do not turn along with it."""
+    monkeypatch.setattr(mc, "moving_paths", partial(mc.moving_paths, sampling="attached"))
+    check_that_nothing_changes(turned, np.zeros(3))
+
+
+def test_values_are_those_of_paths():
+    made = two_bounces(two_bounce_reference.PARAMS)
+    plain = mc.path_integrand(*two_bounce_reference.make(two_bounce_reference.PARAMS), bounces=2)
+    value, same = (mc.draw(integrand, n=1024, key=2).value for integrand in (made.interior, plain))
+    assert np.allclose(value, same, rtol=2e-4, atol=1e-5)
+    assert np.all(mc.draw(made.boundary, n=1024, key=2).value == 0.0)
+
+
+@pytest.mark.slow
+def test_long_paths_in_reverse_mode():
+    """Past 8 events what is on the way is found again."""
+
+    def make(p):
+        walls = mc.Box((0.0, 0.0, 0.0), (2.0, 2.0, 2.0), material=mc.Diffuse(p), emission=1.0, two_sided=True)
+        return mc.moving_radiance(
+            mc.Scene([walls]), (0.5, 0.4, 0.3), (-0.6, -0.5, -0.2), bounces=12, sampling="attached"
+        )
+
+    found = mc.grad_integrate(make, 0.5, n=1 << 14, mode="reverse", key=1)
+    exact = sum(k * 0.5 ** (k - 1) for k in range(1, 13))
+    assert abs(found.mean - exact) <= 5.0 * found.stderr + 1e-4 and found.nonfinite == 0
+
+
 # ------------------------------------------------------------------------------------------------------ what is needed
 
 
@@ -174,14 +255,16 @@ def constant(real):
 
 
 SPOILED = {
-    "directions at edges": ("turning", windows, "turned", held),
+    "directions at edges": ("turning", windows, "with_same_coordinates", held),
     "edges where one face goes on into another": (
         "creases", jumps, "pieces", lambda real: lambda *args, creases, own: real(*args, creases=False, own=own)
     ),
     "shares of lights": ("shares", walks, "share_of_emission", constant),
+    "shares of what is met at edges": ("shares", boundary, "share_of_emission", lambda real: lambda *args: 1.0),
     "shares of lights at edges": (
         "two bounces", shadows, "share_of_emission", lambda real: lambda *args: real(*args) * 0.0 + 1.0
     ),
+    # Only a camera's window has a known ``own``.
     "edges in front": ("two bounces", jumps, "_slips", lambda real: lambda world, view, hit: isinstance(view.own, int)),
 }  # fmt: skip
 

@@ -57,8 +57,8 @@ class Boundary:
 
     @property
     def has_outlines(self) -> bool:
-        """Whether edges around vertices matter that are not before sampled lights: those of what reflects, or of what
-        directions meet that do not follow it.
+        """Whether edges around vertices count besides those of shadows: with detached sampling those before what
+        reflects, with attached sampling all.
         """
         return self.vertices > 1 or (self.vertices == 1 and self.strategy.is_attached)
 

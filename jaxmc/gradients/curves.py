@@ -44,16 +44,17 @@ class Place(NamedTuple):
     """A point on a silhouette; ``stretch`` is the length of the curve there to a unit of the length that was drawn.
 
     ``wi`` and ``distance`` say where it is seen, ``away`` is the unit normal of the curve from what is in front to what
-    lies behind, on the sphere of directions; ``point`` moves. ``skip`` says for each face whether it belongs to the
-    primitives of the silhouette; ``around`` and ``sides`` are the faces at an edge, and on which side of it they lie:
-    1 in front. A rim has one face in front.
+    lies behind, on the sphere of directions; ``point`` moves. ``own`` says for each face whether the silhouette is its,
+    ``rests`` how the silhouette lies on it, as ``contacts.resting``; ``around`` and ``sides`` are the faces at an edge,
+    and on which side of it they lie: 1 in front. A rim has one face in front.
     """
 
     wi: Vec3
     distance: Any
     away: Vec3
     point: Vec3
-    skip: Any
+    own: Any
+    rests: Any
     around: Any
     sides: Any
     stretch: Any = 1.0
@@ -114,16 +115,17 @@ def place_on(found: Silhouettes, views: Views, k, angle, faces: Faces) -> Place:
     """Return the place at an angle on curve number ``k``: edges come first, then rims of spheres, then of disks."""
     counts = np.cumsum([0, len(found.edges), len(found.spheres)])
     most = 1 if views.edges is None else views.edges.sides.shape[1]
-    skip, place = jnp.asarray(_primitives(found))[k], None
+    own, rests = (jnp.asarray(rows)[k] for rows in _of_faces(found))
+    place = None
     for view, on, first in zip(views, (_on_edge, _on_sphere, _on_disk), counts):
         if view is not None:
             i = jnp.clip(k - first, 0, len(jax.tree.leaves(view)[0]) - 1)
-            found_here = on(found, jax.tree.map(lambda a, i=i: a[i], view), i, angle, faces, skip, most)
+            found_here = on(found, jax.tree.map(lambda a, i=i: a[i], view), i, angle, faces, (own, rests), most)
             place = found_here if place is None else jax.tree.map(partial(jnp.where, k >= first), found_here, place)
     return place
 
 
-def _on_edge(found, e: EdgeView, i, angle, faces, skip, most):
+def _on_edge(found, e: EdgeView, i, angle, faces, of_faces, most):
     wi = e.first * jnp.cos(angle) + e.second * jnp.sin(angle)
     # Where on the edge that direction points: both are perpendicular to wi x normal.
     side, along = cross(e.normal, wi), e.to_stop - e.to_start
@@ -131,31 +133,32 @@ def _on_edge(found, e: EdgeView, i, angle, faces, skip, most):
     t = -dot(e.to_start, side) / jnp.where(slope != 0.0, slope, 1.0)
     start, stop = (one_of(end, i) for end in ends_of(found, faces))
     distance = dot(e.to_start + along * t, wi)
-    return Place(wi, distance, e.normal, start + (stop - start) * still(t), skip, e.around, e.sides, jnp.ones(()))
+    return Place(wi, distance, e.normal, start + (stop - start) * still(t), *of_faces, e.around, e.sides, jnp.ones(()))
 
 
-def _on_sphere(found, r: RimView, i, angle, faces, skip, most):
+def _on_sphere(found, r: RimView, i, angle, faces, of_faces, most):
     across = r.tangent * jnp.cos(angle) + r.bitangent * jnp.sin(angle)
     wi, away = r.axis * r.cosine + across * r.sine, across * r.cosine - r.axis * r.sine
     number = jnp.asarray(found.spheres)[i]
     ball = faces.at(number)
     around, sides = jnp.full(most, number), jnp.ones(most)
-    return Place(wi, r.distance, away, ball.center + away * ball.radius, skip, around, sides, jnp.ones(()))
+    return Place(wi, r.distance, away, ball.center + away * ball.radius, *of_faces, around, sides, jnp.ones(()))
 
 
-def _on_disk(found, view: DiskView, i, angle, faces, skip, most):
+def _on_disk(found, view: DiskView, i, angle, faces, of_faces, most):
     at, number = rim_point(view, angle), jnp.asarray(found.disks)[i]
     disk = faces.at(number)
     point = disk.center + on_rim(disk.half_u, disk.half_v, angle)
     around, sides = jnp.full(most, number), jnp.ones(most)
-    return Place(at.wi, at.distance, at.away, point, skip, around, sides, at.stretch)
+    return Place(at.wi, at.distance, at.away, point, *of_faces, around, sides, at.stretch)
 
 
-def _primitives(found):
-    """Return for each silhouette which faces belong to the primitives that make it."""
-    owner = found.owner
-    groups = [*(e.faces for e in found.edges), *((f,) for f in (*found.spheres, *found.disks))]
-    return np.array([[o in {owner[f] for f in faces} for o in owner] for faces in groups])
+def _of_faces(found):
+    """Return for each silhouette which faces it belongs to, and how it rests on each."""
+    faces, rounds = range(len(found.owner)), (*found.spheres, *found.disks)
+    groups = [*(edge.faces for edge in found.edges), *((i,) for i in rounds)]
+    own = np.array([[face in group for face in faces] for group in groups])
+    return own, np.array([*found.rests, *([0] * len(faces) for _ in rounds)])
 
 
 def distances(found: Silhouettes, faces: Faces, point: Vec3, wi: Vec3, own):

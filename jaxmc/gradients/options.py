@@ -1,9 +1,11 @@
 """How the derivatives of paths are sampled."""
 
 import dataclasses
-from typing import ClassVar, cast
+from typing import cast
 
 from ..transport.strategy import PathOptions, Strategy
+
+SAMPLING = "detached", "attached"
 
 
 class MovingOptions(PathOptions, total=False):
@@ -23,12 +25,11 @@ class MovingStrategy(Strategy):
     """The static options of a moving integrand, see ``MovingOptions``."""
 
     sampling: str = "detached"
-    known: ClassVar[tuple[str, ...]] = ("detached", "attached")
 
     def __post_init__(self):
         super().__post_init__()
-        if self.sampling not in self.known:
-            raise ValueError(f"sampling must be one of {', '.join(self.known)}, got {self.sampling!r}")
+        if self.sampling not in SAMPLING:
+            raise ValueError(f"sampling must be one of {', '.join(SAMPLING)}, got {self.sampling!r}")
 
     @property
     def is_attached(self) -> bool:

@@ -31,9 +31,10 @@ def moving_paths(scene: Scene, camera: Camera, *, bounces, **options: Unpack[Mov
     before lights, before surfaces that reflect, those of mirrors, and each of them seen in plane mirrors.
 
     What is not covered is said in ``flags``: edges seen in curved mirrors, through glass or in more than two mirrors,
-    primitives that pass through each other, edges that overlap in part. Primitives that share an edge count as one
-    surface, and must move together. Derivatives of second order are wrong. Where a surface that is seen meets another
-    one, derivatives by its place have heavy tails, of one over the distance: look at ``kurtosis``.
+    primitives that pass through each other, edges that overlap in part, the edge where a sky meets its ground.
+    Primitives that share an edge count as one surface, and must move together. Derivatives of second order are wrong.
+    Where a surface that is seen meets another one, derivatives by its place have heavy tails, of one over the distance:
+    look at ``kurtosis``.
 
     Args:
         scene: what is there.
@@ -123,6 +124,7 @@ def _moving(scene, receiver, place, bounces, options):
         return WithBoundary(interior, None, flags, held=2)
     lamps = lamps_of(scene)
     if strategy.is_attached:
+        # What is found by drawn directions alone counts with all else that they meet.
         lamps = tuple(lamp for lamp in lamps if lamp.face != SKY and strategy.lights != "none")
     around = Boundary(strategy, receiver, found, lamps, mirrors)
     if not (around.choices):

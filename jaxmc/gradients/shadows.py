@@ -1,8 +1,8 @@
 """What moving silhouettes add to the light that arrives at a point: integrals along them.
 
-A direction drawn at a point keeps what it meets in place. So what is in front of a silhouette moves along with it and
-adds nothing: with h the distance by which the silhouette moves over what lies behind, on the sphere of directions and
-along its normal, the integrand is -f L cos(theta) h, L from behind.
+A direction to a light keeps what it meets in place, and so does one that is drawn, if sampling is not attached. So what
+is in front of a silhouette moves along with it and adds nothing: with h the distance by which the silhouette moves over
+what lies behind, on the sphere of directions and along its normal, the integrand is -f L cos(theta) h, L from behind.
 
 Source: Reynolds' transport theorem; Li et al. 2018; Zhang et al. 2020.
 """
@@ -27,6 +27,7 @@ from .vertices import Vertex, evaluate, share_of_emission
 from .world import World
 
 SKY = -1
+CONTACT = 1e-4  # of a distance: by so much what touches is told apart
 
 
 class Lamp(NamedTuple):
@@ -58,11 +59,15 @@ class Scan(NamedTuple):
 
 def scan(world: World, found: Silhouettes, place: Place, point: Vec3, own, least=0.0) -> Scan:
     """Return what a ray from ``point`` on face ``own`` meets, farther away than ``least``."""
-    lengths = distances_from(world, found, point, place.wi, own)
-    lengths = jnp.where(place.skip | (lengths <= least), jnp.inf, lengths)
-    nearest = jnp.min(lengths)
-    face = jnp.where(nearest < jnp.inf, jnp.argmin(lengths), -1)
-    return Scan(nearest > place.distance, Hit(nearest, face))
+    lengths, faces = distances_from(world, found, point, place.wi, own), still(world.values.faces)
+    lengths = jnp.where(place.own | (lengths <= least), jnp.inf, lengths)
+    # What a silhouette rests on is as far away: behind it, or before it where it is seen from the other side.
+    side = jnp.sign(dot(cross(faces.half_u, faces.half_v), point - faces.center))
+    order = lengths * (1.0 + CONTACT * side * place.rests)
+    nearest = jnp.min(order)
+    face = jnp.argmin(order)
+    there = nearest < jnp.inf
+    return Scan(nearest > place.distance, Hit(jnp.where(there, lengths[face], jnp.inf), jnp.where(there, face, -1)))
 
 
 def is_free(world: World, found: Silhouettes, point: Vec3, wi: Vec3, length, own, target):
@@ -111,7 +116,7 @@ def reflects(world: World, strategy, vertex: Vertex, wi: Vec3):
 
 
 def shadows(world: World, found: Silhouettes, lamps, strategy, vertex: Vertex, u):
-    """Return what the edges of shadows add to direct light, where sampling is attached to that of sampled lights.
+    """Return what the edges of shadows add to direct light; with attached sampling, to what sampled lights bring of it.
 
     One coordinate draws a light, a silhouette that is seen before it, and a place on that. A place counts only where
     the ray past it meets the light in question, so every light is counted once.

@@ -12,6 +12,8 @@ import numpy as np
 from ..transport import geometry
 from ..transport.flats import FlatLight
 from ..transport.primitives import is_concrete
+from ..transport.sky import ZenithPolynomial
+from .contacts import resting
 from .mirrors import IN_A_ROW
 
 SAME = 1e-5  # of the size of the scene: points closer than that are one
@@ -28,7 +30,7 @@ class Edge(NamedTuple):
 
 class Silhouettes(NamedTuple):
     """The edges of a scene, the faces that are spheres, the primitive of each face, which faces are triangles, and the
-    faces that are disks.
+    faces that are disks; and for each edge how it rests on each face, as ``contacts.resting`` says.
 
     Not ``known`` while JAX traces the scene: what coincides cannot be told then.
     """
@@ -38,6 +40,7 @@ class Silhouettes(NamedTuple):
     owner: tuple[int, ...]
     triangles: tuple[bool, ...]
     disks: tuple[int, ...] = ()
+    rests: tuple[tuple[int, ...], ...] = ()
     known: bool = True
 
 
@@ -50,6 +53,8 @@ def silhouettes_of(scene, bounces) -> tuple[Silhouettes, tuple[str, ...]]:
     if bounces and (curved or scene.dielectrics):
         some = " and ".join(name for name, faces in (("curved mirrors", curved), ("glass", scene.dielectrics)) if faces)
         flags += (f"edges that are seen over {some}: their images are not known",)
+    if isinstance(scene.sky, ZenithPolynomial) and scene.sky.ground is not None:
+        flags += ("the edge where a sky meets its ground: it is not known, and matters where directions turn",)
     if bounces > IN_A_ROW and len(set(scene.mirrors) - set(curved)) > 1:
         flags += (f"edges that are seen over more than {IN_A_ROW} mirrors, one after the other",)
     return found, flags
@@ -76,7 +81,8 @@ def silhouettes(outlines, owner) -> tuple[Silhouettes, tuple[str, ...]]:
         else:
             edges[twin] = edges[twin]._replace(faces=(*edges[twin].faces, face))
     triangles = tuple(isinstance(o, FlatLight) and o.triangle for o in outlines)
-    found = Silhouettes(tuple(edges), tuple(spheres), tuple(owner), triangles, tuple(disks))
+    rests = resting(outlines, edges, ends[kept], SAME * size)
+    found = Silhouettes(tuple(edges), tuple(spheres), tuple(owner), triangles, tuple(disks), rests)
     return found, _flags(outlines, owner, found, ends[kept], size)
 
 

@@ -37,24 +37,27 @@ def evaluate(world: World, strategy, vertex: Vertex, wi: Vec3):
     )[0]
 
 
-def drawn(world: World, strategy, vertex: Vertex, coordinates) -> BsdfSample:
-    """Return the direction that two coordinates draw, in motion."""
+def sample_in_motion(world: World, strategy, vertex: Vertex, coordinates) -> BsdfSample:
+    """Return the direction that two coordinates draw, in motion, with its weight."""
     return sample_bsdf(
         world.moving, strategy.directions, vertex.moving, vertex.moving_kinds, vertex.arriving, *coordinates
     )
 
 
-def turned(world: World, strategy, vertex: Vertex, wi: Vec3) -> Vec3:
-    """Return a direction in motion that keeps the coordinates that draw it; from a surface that is not specular."""
+def with_same_coordinates(world: World, strategy, vertex: Vertex, wi: Vec3) -> Vec3:
+    """Return a direction in motion that keeps the coordinates that draw it; the surface is not specular."""
     # What is not used must not turn derivatives to NaN.
     above = where(dot(vertex.surface.normal, wi) > 0.0, wi, vertex.surface.normal)
     found = bsdf_coordinates(world.rest, strategy.directions, vertex.surface, vertex.kinds, vertex.came, above)
-    return attach(wi, drawn(world, strategy, vertex, still(found)).wi)
+    return attach(wi, sample_in_motion(world, strategy, vertex, still(found)).wi)
 
 
 def share_of_emission(world: World, strategy, vertex: Vertex, wi: Vec3, hit: Hit):
-    """Return the share of what a direction meets and shines that counts where directions are drawn; what is left of it
-    counts where lights are sampled. The direction is in motion, all else at rest.
+    """Return the share of emission that counts where a drawn direction meets it; what is left of 1 counts where lights
+    are sampled. All of the sky counts where it is met.
+
+    The direction is in motion, all else at rest. That leaves no bias: at a fixed point the shares of both ways are
+    fixed functions of the direction, and their sum is 1 wherever each of them moves it.
     """
     surface, cosine = vertex.surface, dot(vertex.surface.normal, wi)
     if not world.rest.lights:

@@ -23,7 +23,7 @@ from ..transport.strategy import POLAR
 from ..transport.vec import Vec3, dot, where
 from .flows import Flowed, attach, carried, distance_to, flow, ratio, still, sweeps, turning_at
 from .mirrors import Shown, flow_through, look_through
-from .vertices import Vertex, drawn, evaluate, share_of_emission
+from .vertices import Vertex, evaluate, sample_in_motion, share_of_emission
 from .world import Row, World
 
 KEPT = 8  # events of which reverse mode keeps everything
@@ -209,7 +209,7 @@ def _move(world, strategy, vertex: Vertex, found: Found) -> tuple[Walk, Any]:
 def _moved(world, strategy, vertex, found, face):
     """Return how the point that a direction has met, the direction and its weight move."""
     if strategy.is_attached:
-        sample = drawn(world, strategy, vertex, found.coordinates)
+        sample = sample_in_motion(world, strategy, vertex, found.coordinates)
         wi, change = attach(found.wi, sample.wi), jax.tree.map(ratio, sample.weight)
         return carried(face, vertex.moving.point, wi, distance_to(found.hit)), wi, change * found.weight
     free, own = found.hit.face < 0, found.hit.face == vertex.surface.face

@@ -18,12 +18,12 @@ from .flows import attach, still
 from .mirrors import Plane, image, plane_of, reflected
 from .shadows import draws, is_free, reflects
 from .silhouettes import Silhouettes
-from .vertices import Vertex, turned
+from .vertices import Vertex, with_same_coordinates
 from .world import World
 
 
 class Given(NamedTuple):
-    """A direction: whether it matters, the weight of radiance along it, how it moves, None where it follows what it
+    """A direction: whether it matters, the weight of radiance along it, how it moves, None where it keeps what it
     meets, and how far away the last mirror is.
     """
 
@@ -36,8 +36,8 @@ class Given(NamedTuple):
 class Window(NamedTuple):
     """Where a point looks, at rest and in motion: within these bounds, and for rims in the ``cone`` that holds them.
 
-    ``give(wi)`` tells of a direction. Where ``follows`` they follow what they meet, up to ``further`` mirrors in a row.
-    Through mirrors, as many as ``passed``, the point is its image, and ``own`` the last mirror's face.
+    ``give(wi)`` tells of a direction. If they are ``pinned``, directions keep what they meet, up to ``further`` mirrors
+    in a row. Through mirrors, as many as ``passed``, the point is its image, and ``own`` the last mirror's face.
     """
 
     point: Vec3
@@ -45,7 +45,7 @@ class Window(NamedTuple):
     bounds: list[Halfspace]
     cone: Cone | None
     give: Callable[[Vec3], Given]
-    follows: bool
+    pinned: bool
     further: int
     own: Any = -1
     passed: Any = 0
@@ -75,7 +75,7 @@ def of_film(world: World, part: Rectangle, importance) -> Window:
 
     bounds = pyramid(corners, inside, fixed.origin)
     cone = cone_around(corners, inside, fixed.origin)
-    return Window(fixed.origin, camera.origin, bounds, cone, give, follows=False, further=0)
+    return Window(fixed.origin, camera.origin, bounds, cone, give, pinned=False, further=0)
 
 
 def of_vertex(world: World, strategy, vertex: Vertex) -> Window:
@@ -84,7 +84,7 @@ def of_vertex(world: World, strategy, vertex: Vertex) -> Window:
 
     def give(wi):
         used = draws(vertex) & (dot(surface.normal, wi) > 0.0)
-        moving = turned(world, strategy, vertex, wi) if strategy.is_attached else None
+        moving = with_same_coordinates(world, strategy, vertex, wi) if strategy.is_attached else None
         return Given(used, reflects(world, strategy, vertex, wi), moving)
 
     horizon, further = Halfspace(surface.normal), 0 if strategy.is_attached else world.mirrors.in_a_row
@@ -126,7 +126,7 @@ def in_mirrors(world: World, found: Silhouettes, window: Window, chain) -> Windo
         own = jnp.where(there, face, own)
     passed = 1 + sum(look.there.astype(int) for look in looks[1:])
     give = partial(_give_in_mirrors, world, found, window, looks)
-    return Window(point, moving, bounds, cone, give, window.follows, max(window.further - 1, 0), own, passed)
+    return Window(point, moving, bounds, cone, give, window.pinned, max(window.further - 1, 0), own, passed)
 
 
 def _if_there(there, bound: Halfspace) -> Halfspace:

@@ -92,7 +92,9 @@ def sample_bsdf(scene, directions: str, surface: Surface, kinds: Kinds, arriving
         wi, pdf = where(kinds.cone, cone, wi), jnp.where(kinds.cone, pdf_cone(scene.blur), pdf)
         weight = jnp.where(kinds.cone, jnp.where(dot(cone, surface.normal) > grazing(), 1.0, 0.0), weight)
     if scene.dielectrics:
-        through, factor = _sample_dielectric(at(scene.ior, surface.face), surface, arriving, u1)
+        # What is no glass must not turn derivatives to NaN.
+        ior = jnp.where(kinds.dielectric, at(scene.ior, surface.face), 1.5)
+        through, factor = _sample_dielectric(ior, surface, arriving, u1)
         wi = where(kinds.dielectric, through, wi)
         weight = jnp.where(kinds.dielectric, factor, weight)
     return BsdfSample(wi, pdf, weight if metallic is None else metallic * weight)

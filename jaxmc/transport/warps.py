@@ -96,7 +96,7 @@ def pdf_cosine_hemisphere(cos_theta):
 
 
 def cosine_hemisphere_coordinates(local):
-    """Return the (u1, u2) that ``sample_cosine_hemisphere`` maps to a direction, of one below the surface to (x, y)."""
+    """Return the (u1, u2) that ``sample_cosine_hemisphere`` maps to a direction; ``local.z`` is not looked at."""
     return smaller(local.x * local.x + local.y * local.y, 1.0), turn(local.y, local.x)
 
 
