@@ -2,11 +2,14 @@
 
 from pathlib import Path
 
+import jax
 import pytest
 
 HERE = Path(__file__).parent
 SLOW = set((HERE / "slow.txt").read_text().splitlines())
 LONGEST = "tests/test_readme.py"
+MAPPINGS = Path("/proc/self/maps")
+MOST = 30_000  # pieces of memory in use: Linux ends a process at 65,530, and each kernel takes some
 MISSING = pytest.StashKey[set[str]]()  # listed tests that do not exist
 
 
@@ -31,3 +34,13 @@ def _has_file(name):
 def missing_slow_tests(pytestconfig):
     """Names in ``slow.txt`` of tests that were looked for and not found: renamed or removed."""
     return pytestconfig.stash[MISSING]
+
+
+@pytest.fixture(autouse=True)
+def few_kernels(request):
+    """After a slow test forget all kernels where they have become too many."""
+    yield
+    if request.node.get_closest_marker("slow") and MAPPINGS.exists():
+        with MAPPINGS.open() as lines:
+            if sum(1 for _ in lines) > MOST:
+                jax.clear_caches()

@@ -66,7 +66,7 @@ def share_of_emission(world: World, strategy, vertex: Vertex, wi: Vec3, hit: Hit
     counts = (hit.face >= 0) & (cosine > 0.0)
     toward, cosine = where(counts, wi, surface.normal), jnp.where(counts, cosine, 1.0)
     _, pdf = evaluate_bsdf(world.rest, strategy.directions, surface, vertex.kinds, vertex.came, toward, cosine)
-    place = carried(still(world.values.faces.at(hit.face)), surface.point, toward, distance_to(hit))
+    place = carried(still(world.values.faces).at(hit.face), surface.point, toward, distance_to(hit))
     met = hit._replace(distance=attach(distance_to(hit), dot(place - surface.point, still(toward))))
     onward = ray(surface.point, toward)
     share = emission_met(world.shares, strategy, onward, met, pdf, surface, vertex.kinds.specular)
