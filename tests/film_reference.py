@@ -33,6 +33,11 @@ class View(NamedTuple):
         local = self.local(points)
         return local[..., :2] / local[..., 2:] / self.reach
 
+    def directions(self, places):
+        """Return the directions, of any length, that places on the film are seen in."""
+        x, y = (places * self.reach).T
+        return self.forward + x[:, None] * self.right + y[:, None] * self.down
+
 
 def view(origin, target, up=(0.0, 0.0, 1.0), fov=40.0, aspect=1.0) -> View:
     """Return the camera ``mc.PinholeCamera`` of the same arguments; ``aspect`` is width by height."""
@@ -70,11 +75,11 @@ def within(polygon, window):
     """
     turn = jnp.sign(signed_area(window))
     for a, b in zip(window, jnp.roll(window, -1, axis=0)):
-        polygon = _above(polygon, turn * _cross(b - a, polygon - a))
+        polygon = above(polygon, turn * _cross(b - a, polygon - a))
     return polygon
 
 
-def _above(polygon, height):
+def above(polygon, height):
     """Return the part of a convex polygon where ``height``, which is linear and given at its corners, is positive."""
     after, beyond = jnp.roll(polygon, -1, axis=0), jnp.roll(height, -1)
     crossing = (height < 0.0) != (beyond < 0.0)
@@ -115,6 +120,7 @@ def _beside(a, b):
     """Return the signed area of the unit disk's part in the triangle of the origin and an edge."""
     along = b - a
     squared, middle = along @ along, a @ along
+    squared = jnp.where(squared > 0.0, squared, 1.0)  # corners may coincide
     root = middle * middle - squared * (a @ a - 1.0)
     met = root > 0.0
     half = jnp.sqrt(jnp.where(met, root, 1.0))

@@ -11,5 +11,6 @@ from moving_contacts import CONTACTS
 from moving_films import FRONT, ZOOMS
 from moving_mirrors import MIRRORED
 from moving_points import POINTS, RAYS
+from moving_skies import SKIES
 
-SCENES = (*FRONT, *ZOOMS, *CONTACTS, *MIRRORED, *POINTS, *RAYS)
+SCENES = (*FRONT, *ZOOMS, *CONTACTS, *MIRRORED, *POINTS, *RAYS, *SKIES)

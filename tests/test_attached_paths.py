@@ -28,6 +28,7 @@ from jaxmc.transport.vec import Vec3
 POINTS = ["annular eclipse", "shadow of a half plane on a floor"]
 OTHERS = ["sphere light", "rectangle over its corner", "shadow of a half plane", "sphere under the sky"]
 OTHERS += ["sphere beside a plane mirror", "lamp that a mirror's rim cuts", "blocker before a wall in a mirror"]
+OTHERS += ["sky over a ground", "floor under a sky and a ground", "horizon in a mirror over a point"]
 OTHERS += ["sphere over a mirror's rim", "through a periscope", "short furnace", "slab of glass", "rough metal"]
 
 

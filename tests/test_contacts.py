@@ -54,10 +54,3 @@ def test_contacts_are_needed(monkeypatch):
     monkeypatch.setattr(silhouettes, "resting", lambda outlines, edges, *_: tuple((0,) * len(outlines) for _ in edges))
     report = mc.gradcheck(crate_on_floor(), AT, n=1 << 18, scale=1.0, steps=(0.04, 0.02), sampler=mc.Sobol())
     assert report.verdict == "biased"
-
-
-def test_the_edge_of_the_ground_is_flagged():
-    for ground, flagged in ((0.2, True), (None, False)):
-        scene = mc.Scene([FLOOR], sky=mc.GradientSky((1.0, 0.5), ground=ground))
-        flags = mc.moving_irradiance(scene, (0, 0, 1), (0, 0, 1), bounces=0).flags
-        assert any("ground" in flag for flag in flags) == flagged

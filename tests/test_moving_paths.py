@@ -16,7 +16,7 @@ from jaxmc.gradients.derivative import derivatives
 
 TABLE = json.loads((Path(__file__).parent / "data" / "two_bounce.json").read_text())
 KINDS = {"film": mc.moving_paths, "point": mc.moving_irradiance, "ray": mc.moving_radiance}
-QUICK = {"sphere over the film's edge", "slab of glass"}
+QUICK = {"sphere over the film's edge", "slab of glass", "sky over a ground"}
 BY_NAME = {scene.name: scene for scene in SCENES}
 
 
@@ -99,9 +99,10 @@ SPOILED = {
     ),
     "mirrors behind edges": ("lamp that a mirror's rim cuts", jumps, "look_through", lambda real: lambda *args: ()),
     "samples in a mirror": ("lamp that a mirror's rim cuts", walks, "look_through", lambda real: lambda *args: ()),
+    "the ground": ("sky over a ground", boundary, "horizon", nothing),
     "the second mirror": ("periscope", mirrors, "IN_A_ROW", lambda real: 1),
 }  # fmt: skip
-SOME = "radius", "low_corner", "mirror_edge_v", "near_corner", "far_corner", "point"
+SOME = "radius", "zenith", "low_corner", "mirror_edge_v", "near_corner", "far_corner", "point"
 
 
 @pytest.mark.slow
@@ -170,6 +171,11 @@ def turned(p):
     zero = 0.0 * x
     skew = jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
     return room(ROOM, turn=jnp.eye(3) + skew)
+
+
+def test_a_scene_without_primitives_is_refused():
+    with pytest.raises(ValueError, match="nothing that moves: add one"):
+        mc.moving_irradiance(mc.Scene([], 1.0), (0, 0, 0), (0, 0, 1), bounces=0)
 
 
 @pytest.mark.slow

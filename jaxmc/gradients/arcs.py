@@ -133,7 +133,7 @@ def rim_arcs(view: RimView, cone: Cone | None) -> Arcs:
         sine = jnp.sqrt(larger(1.0 - apart * apart, 1e-12))
         # Two circles on the sphere meet at this azimuth from the line between their centres.
         bound = (cone.cosine - view.cosine * apart) / (view.sine * sine)
-        width = jnp.where(cone.cosine > 0.0, jnp.arccos(jnp.clip(bound, -1.0, 1.0)), np.pi)
+        width = jnp.where(cone.cosine >= 0.0, jnp.arccos(jnp.clip(bound, -1.0, 1.0)), np.pi)
         middle = jnp.arctan2(dot(cone.axis, view.bitangent), dot(cone.axis, view.tangent))
     return Arcs(middle - width, jnp.where(view.outside, 2.0 * width * view.sine, 0.0))
 

@@ -1,7 +1,8 @@
 """The boundary part of a derivative of light transport: one integral over all edges that matter on a path.
 
 Edges matter on the film; at each surface point that directions are drawn from, before lights and before what reflects;
-and over a plane mirror in both. One sample has a place on the film's edges and one vertex of a path with edges around.
+and over a plane mirror in both; where a sky meets its ground is one of them. One sample has a place on the edges of the
+film and one vertex of a path with edges around.
 """
 
 import dataclasses
@@ -16,7 +17,9 @@ from jax import lax
 from ..transport import paths
 from ..transport.lights import black
 from ..transport.vec import where
+from .curves import curves
 from .flows import still
+from .horizon import has_horizon, horizon
 from .jumps import jump
 from .mirrors import Mirrors
 from .options import MovingStrategy
@@ -122,22 +125,24 @@ class Boundary:
         """Return what edges on the film add, seen directly and in mirrors."""
         bounces, window = self.strategy.bounces, of_film(moving, part, importance)
         along = self._radiance(moving, u, after, bounces, bounces)
-        total = jump(moving, self.found, window, choice("film: edge"), along)
+        total = self._within(moving, window, choice("film: edge"), along)
         if chain is None:
             return total
         shown = in_mirrors(moving, self.found, window, chain)
         along = self._radiance(moving, u, after, bounces - 1, bounces - shown.passed)
-        seen = jump(moving, self.found, shown, choice("film: edge in a mirror"), along)
+        seen = self._within(moving, shown, choice("film: edge in a mirror"), along)
         return total + seen * float(len(self.chains))
 
     def _around(self, moving, vertex, left, chain, choice, u, after):
         """Return what edges add around a vertex of a path that has ``left`` further events."""
         total, most = black(moving.rest), self.vertices - 1
-        if self.lamps:
+        if self.lamps and curves(self.found):
             total = total + shadows(moving, self.found, self.lamps, self.strategy, vertex, choice("shadow: edge"))
-        if not self.has_outlines:
-            return total
         window = of_vertex(moving, self.strategy, vertex)
+        if not self.has_outlines:
+            if not has_horizon(moving.rest.sky):
+                return total
+            return total + horizon(moving, self.found, window, choice("shadow: edge"))
 
         def what_counts(emission, toward, hit):
             if not self.strategy.is_attached:
@@ -147,13 +152,18 @@ class Boundary:
             return emission * share_of_emission(moving, self.strategy, fixed, toward.direction, hit)
 
         along = self._radiance(moving, u, after, most, left, what_counts)
-        total = total + jump(moving, self.found, window, choice("outline: edge"), along)
+        total = total + self._within(moving, window, choice("outline: edge"), along)
         if chain is None or not most:
             return total
         shown = in_mirrors(moving, self.found, window, chain)
         along = self._radiance(moving, u, after, most - 1, left - shown.passed)
-        seen = jump(moving, self.found, shown, choice("vertex: edge in a mirror"), along)
+        seen = self._within(moving, shown, choice("vertex: edge in a mirror"), along)
         return total + where(left >= shown.passed, seen, black(moving.rest)) * float(len(self.chains))
+
+    def _within(self, moving, window, u, along):
+        """Return what all edges in a window add; ``along`` as ``jump`` takes it."""
+        total = jump(moving, self.found, window, u, along) if curves(self.found) else black(moving.rest)
+        return total + horizon(moving, self.found, window, u) if has_horizon(moving.rest.sky) else total
 
     def _vertex(self, moving, begun, choice, u):
         """Return the number of a vertex, one over its probability, and the vertex."""

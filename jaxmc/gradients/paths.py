@@ -9,7 +9,9 @@ from ..transport.camera import Camera
 from ..transport.primitives import as_vec3
 from ..transport.scene import Scene
 from .boundary import Boundary
+from .curves import curves
 from .derivative import WithBoundary
+from .horizon import has_horizon
 from .mirrors import Mirrors, mirrors_of
 from .options import MovingOptions, MovingStrategy, of_paths
 from .receivers import AlongRay, AtPoint, OnFilm, OverFace
@@ -28,10 +30,11 @@ def moving_paths(scene: Scene, camera: Camera, *, bounces, **options: Unpack[Mov
     the scene and the camera are made of: colours, roughness, indices of refraction, places, sizes, orientations, the
     camera itself. The interior keeps every drawn direction on what it has met, or on what a plane mirror shows there,
     or with ``sampling="attached"`` the random numbers that drew it; the boundary has all edges that move: on the film,
-    before lights, before surfaces that reflect, those of mirrors, and each of them seen in plane mirrors.
+    before lights, before surfaces that reflect, those of mirrors, where the sky meets its ground, and each of them seen
+    in plane mirrors.
 
     What is not covered is said in ``flags``: edges seen in curved mirrors, through glass or in more than two mirrors,
-    primitives that pass through each other, edges that overlap in part, the edge where a sky meets its ground.
+    primitives that pass through each other, edges that overlap in part.
     Primitives that share an edge count as one surface, and must move together. Derivatives of second order are wrong.
     Where a surface that is seen meets another one, derivatives by its place have heavy tails, of one over the distance:
     look at ``kurtosis``.
@@ -111,6 +114,8 @@ def _moving(scene, receiver, place, bounces, options):
     unfit = [name for name in UNFIT if options.get(name)]
     if unfit:
         raise ValueError(f"moving integrands have no {', '.join(unfit)}: leave it out")
+    if not scene.size:
+        raise ValueError("a scene without primitives has nothing that moves: add one, if only far behind the viewer")
     strategy = MovingStrategy(bounces, **options)
     values = values_of(scene, place)
     events = bounces + receiver.is_surface
@@ -120,7 +125,7 @@ def _moving(scene, receiver, place, bounces, options):
     mirrors = mirrors_of(scene, bounces)
     interior = Integrand(Interior(strategy, receiver, mirrors), len(labels), params, True, labels)
     found, flags = silhouettes_of(scene, bounces)
-    if found.known and not (found.edges or found.spheres or found.disks):
+    if found.known and not curves(found) and not has_horizon(scene.sky):
         return WithBoundary(interior, None, flags, held=2)
     lamps = lamps_of(scene)
     if strategy.is_attached:

@@ -12,7 +12,6 @@ import numpy as np
 from ..transport import geometry
 from ..transport.flats import FlatLight
 from ..transport.primitives import is_concrete
-from ..transport.sky import ZenithPolynomial
 from .contacts import resting
 from .mirrors import IN_A_ROW
 
@@ -53,8 +52,6 @@ def silhouettes_of(scene, bounces) -> tuple[Silhouettes, tuple[str, ...]]:
     if bounces and (curved or scene.dielectrics):
         some = " and ".join(name for name, faces in (("curved mirrors", curved), ("glass", scene.dielectrics)) if faces)
         flags += (f"edges that are seen over {some}: their images are not known",)
-    if isinstance(scene.sky, ZenithPolynomial) and scene.sky.ground is not None:
-        flags += ("the edge where a sky meets its ground: it is not known, and matters where directions turn",)
     if bounces > IN_A_ROW and len(set(scene.mirrors) - set(curved)) > 1:
         flags += (f"edges that are seen over more than {IN_A_ROW} mirrors, one after the other",)
     return found, flags

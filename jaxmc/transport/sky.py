@@ -31,7 +31,7 @@ class GradientSky:
         ground: radiance from below the horizon, a number or an RGB triple. None: the polynomial holds there too.
 
     ``jax.grad`` is right for the coefficients and the ground. For ``up`` it leaves out what the moving edge of the
-    ground adds.
+    ground adds, which ``mc.moving_paths`` and its kin have.
 
     Raises:
         ValueError: values of the wrong shape, that are not finite, or that make the radiance negative somewhere.
