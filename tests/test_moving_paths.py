@@ -173,6 +173,25 @@ def turned(p):
     return room(ROOM, turn=jnp.eye(3) + skew)
 
 
+def test_colours_in_a_mirror_on_a_film():
+    scene, sky, ground, tint = (
+        BY_NAME["horizon in a mirror on a film"],
+        (2.0, 1.0, 0.5),
+        (0.5, 0.1, 0.9),
+        (0.8, 0.5, 0.2),
+    )
+    colours = {"sky": sky, "ground": ground, "reflectance": tint}
+
+    def make(zenith):
+        return mc.moving_paths(*scene.make({**scene.params, **colours, "zenith": zenith}), bounces=1)
+
+    found = mc.grad_integrate(make, scene.params["zenith"], n=1 << 14, sampler=mc.Sobol())
+    for k in range(3):
+        alone = scene._replace(params=scene.params | {name: colour[k] for name, colour in colours.items()})
+        exact = alone.truth()[1]["zenith"]
+        assert np.all(np.abs(found.mean[k] - exact) <= 6.0 * found.stderr[k] + 1e-3 * np.abs(exact).max())
+
+
 def test_a_scene_without_primitives_is_refused():
     with pytest.raises(ValueError, match="nothing that moves: add one"):
         mc.moving_irradiance(mc.Scene([], 1.0), (0, 0, 0), (0, 0, 1), bounces=0)

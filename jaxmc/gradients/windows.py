@@ -151,7 +151,7 @@ def _give_in_mirrors(world, found, window: Window, looks: list[Look], wi: Vec3) 
         is_seen = (distance > least) & holds(row, end, triangle, disk) & (look.before != look.face)
         is_seen = is_seen & is_free(world, found, start, before, distance - least, look.before, look.face)
         used = used & jnp.where(look.there, is_seen, True)
-        weight = where(look.there, weight * at(world.rest.reflectance, look.face), weight)
+        weight = where(look.there, at(world.rest.reflectance, look.face) * weight, weight)
         if moving is not None:
             moving = where(look.there, reflected(look.plane, moving), moving)
         start, least = where(look.there, end, start), jnp.where(look.there, distance, least)
