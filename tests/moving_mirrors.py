@@ -13,7 +13,7 @@ import jaxmc as mc
 PARTS = "corner", "edge_u", "edge_v"
 
 
-def _corners(p, name, mirrors=()):
+def corners(p, name, mirrors=()):
     """Return the corners of a parallelogram, seen in mirrors, the last one first."""
     return _in_mirrors(p, film.quad(*(p[name + part] for part in PARTS)), mirrors)
 
@@ -25,7 +25,7 @@ def _in_mirrors(p, points, mirrors):
     return points
 
 
-def _mirror(p, name):
+def mirror(p, name):
     return mc.Quad(*(p[name + part] for part in PARTS), mc.Mirror(p["reflectance"]))
 
 
@@ -82,24 +82,24 @@ def _view(p):
 
 def _blocker_in_mirror(p):
     # The lamp shines to +y, where the mirror is.
-    return mc.Scene([_mirror(p, "mirror_"), _lamp(p), *_quads(p, "near_")]), _camera(p)
+    return mc.Scene([mirror(p, "mirror_"), _lamp(p), *_quads(p, "near_")]), _camera(p)
 
 
 def _blocked_image(**p):
     view = _view(p)
-    window = view.on_film(_corners(p, "mirror_"))
-    back, near = (view.on_film(_corners(p, name, ["mirror_"])) for name in ("", "near_"))
+    window = view.on_film(corners(p, "mirror_"))
+    back, near = (view.on_film(corners(p, name, ["mirror_"])) for name in ("", "near_"))
     return p["reflectance"] * p["emission"] * (film.share(window, back) - film.share(window, back, near))
 
 
 def _ball_in_mirror(p):
-    return mc.Scene([_mirror(p, "mirror_"), ball(p["center"], p["radius"], p["emission"])]), _camera(p)
+    return mc.Scene([mirror(p, "mirror_"), ball(p["center"], p["radius"], p["emission"])]), _camera(p)
 
 
 def _sphere_image(**p):
     # The film holds the mirror, and the mirror's rim cuts the image.
     view = _view(p)
-    window = view.on_film(_corners(p, "mirror_"))
+    window = view.on_film(corners(p, "mirror_"))
     center = _in_mirrors(p, p["center"], ["mirror_"])
     return p["reflectance"] * p["emission"] * film.sphere_share(view, center, p["radius"], window)
 
@@ -119,12 +119,12 @@ WINDOW = {name: np.array(v) for name, v in WINDOW.items()} | {"reflectance": 0.8
 def _window(p):
     """A lamp that only a mirror shows, whose rim cuts it, with a blocker on the way there and one on the way back."""
     # The lamp shines to +y, where the mirror is, and the point is behind it.
-    return mc.Scene([_mirror(p, "mirror_"), _lamp(p), *_quads(p, "near_", "far_")]), p["point"], UP
+    return mc.Scene([mirror(p, "mirror_"), _lamp(p), *_quads(p, "near_", "far_")]), p["point"], UP
 
 
 def _in_window(**p):
     def seen(name, *mirrors):
-        return from_point(p, _corners(p, name, mirrors))
+        return from_point(p, corners(p, name, mirrors))
 
     lit = film.within(seen("", "mirror_"), seen("mirror_"))
     hidden = [film.within(lit, seen("near_")), film.within(lit, seen("far_", "mirror_"))]
@@ -145,7 +145,7 @@ PERISCOPE = {name: np.array(v) for name, v in PERISCOPE.items()} | {"reflectance
 
 def _periscope(p):
     """A low mirror before the origin, a high one behind it that it shows, and a lamp that shines to the high one."""
-    return mc.Scene([_mirror(p, "low_"), _mirror(p, "high_"), _lamp(p), *_quads(p, "near_", "far_")])
+    return mc.Scene([mirror(p, "low_"), mirror(p, "high_"), _lamp(p), *_quads(p, "near_", "far_")])
 
 
 def _periscope_at_point(p):
@@ -154,7 +154,7 @@ def _periscope_at_point(p):
 
 def _up_periscope(**p):
     def seen(name, *mirrors):
-        return from_point(p, _corners(p, name, mirrors))
+        return from_point(p, corners(p, name, mirrors))
 
     direct = seen("")
     direct = irradiance_of(direct) - irradiance_of(film.within(direct, seen("near_")))
@@ -184,7 +184,7 @@ def _through_periscope(**p):
     view = film.view(p["origin"], p["target"], fov=30.0)
 
     def seen(name, *mirrors):
-        return view.on_film(_corners(p, name, mirrors))
+        return view.on_film(corners(p, name, mirrors))
 
     lit = _twice(seen)
     share = film.share(lit) - sum(film.share(lit, hidden) for hidden in _hiding(seen))

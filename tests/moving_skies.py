@@ -4,7 +4,7 @@ import film_reference as film
 import jax.numpy as jnp
 import numpy as np
 from moving_films import EYE, SPHERE, camera, shares
-from moving_mirrors import FROM, MIRROR, from_point, irradiance_of
+from moving_mirrors import FROM, MIRROR, corners, from_point, irradiance_of, mirror
 from moving_points import UP, MovingScene, ball
 
 import jaxmc as mc
@@ -50,16 +50,8 @@ def _of_floor(edge_u, edge_v, albedo, **p):
     return albedo / jnp.pi * _lit(jnp.cross(edge_u, edge_v), **p)
 
 
-def _mirror(p):
-    return mc.Quad(*(p["mirror_" + part] for part in ("corner", "edge_u", "edge_v")), mc.Mirror(p["reflectance"]))
-
-
 def _beside_mirror(p):
-    return mc.Scene([_mirror(p)], _sky(p)), p["point"], UP
-
-
-def _rim(p):
-    return film.quad(*(p["mirror_" + part] for part in ("corner", "edge_u", "edge_v")))
+    return mc.Scene([mirror(p, "mirror_")], _sky(p)), p["point"], UP
 
 
 def _shown(p):
@@ -68,7 +60,7 @@ def _shown(p):
 
 
 def _beside(**p):
-    rim = from_point(p, _rim(p))
+    rim = from_point(p, corners(p, "mirror_"))
     to = jnp.concatenate([rim, jnp.ones((4, 1))], axis=1)
     behind, before = (irradiance_of(_of_sky(rim, to, zenith)) for zenith in (p["zenith"], _shown(p)))
     step, ground = p["sky"] - p["ground"], p["ground"] * irradiance_of(rim)
@@ -91,11 +83,11 @@ def _around_sphere(p, view):
 
 
 def _mirror_before(p):
-    return mc.Scene([_mirror(p)], _sky(p)), camera(p)
+    return mc.Scene([mirror(p, "mirror_")], _sky(p)), camera(p)
 
 
 def _with_mirror(p, view):
-    rim, step = view.on_film(_rim(p)), p["sky"] - p["ground"]
+    rim, step = view.on_film(corners(p, "mirror_")), p["sky"] - p["ground"]
     behind, before = (_of_sky(WHOLE, view.directions(WHOLE), zenith) for zenith in (p["zenith"], _shown(p)))
     around = p["ground"] * (1.0 - film.share(rim)) + step * (film.share(behind) - film.share(behind, rim))
     return around + p["reflectance"] * (p["ground"] * film.share(rim) + step * film.share(before, rim))

@@ -174,13 +174,8 @@ def turned(p):
 
 
 def test_colours_in_a_mirror_on_a_film():
-    scene, sky, ground, tint = (
-        BY_NAME["horizon in a mirror on a film"],
-        (2.0, 1.0, 0.5),
-        (0.5, 0.1, 0.9),
-        (0.8, 0.5, 0.2),
-    )
-    colours = {"sky": sky, "ground": ground, "reflectance": tint}
+    scene = BY_NAME["horizon in a mirror on a film"]
+    colours = {"sky": (2.0, 1.0, 0.5), "ground": (0.5, 0.1, 0.9), "reflectance": (0.8, 0.5, 0.2)}
 
     def make(zenith):
         return mc.moving_paths(*scene.make({**scene.params, **colours, "zenith": zenith}), bounces=1)

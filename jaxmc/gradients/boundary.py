@@ -17,7 +17,6 @@ from jax import lax
 from ..transport import paths
 from ..transport.lights import black
 from ..transport.vec import where
-from .curves import curves
 from .flows import still
 from .horizon import has_horizon, horizon
 from .jumps import jump
@@ -136,13 +135,13 @@ class Boundary:
     def _around(self, moving, vertex, left, chain, choice, u, after):
         """Return what edges add around a vertex of a path that has ``left`` further events."""
         total, most = black(moving.rest), self.vertices - 1
-        if self.lamps and curves(self.found):
+        if self.lamps:
             total = total + shadows(moving, self.found, self.lamps, self.strategy, vertex, choice("shadow: edge"))
         window = of_vertex(moving, self.strategy, vertex)
         if not self.has_outlines:
-            if not has_horizon(moving.rest.sky):
-                return total
-            return total + horizon(moving, self.found, window, choice("shadow: edge"))
+            if has_horizon(moving.rest.sky):
+                total = total + horizon(moving, self.found, window, choice("shadow: edge"))
+            return total
 
         def what_counts(emission, toward, hit):
             if not self.strategy.is_attached:
@@ -162,7 +161,7 @@ class Boundary:
 
     def _within(self, moving, window, u, along):
         """Return what all edges in a window add; ``along`` as ``jump`` takes it."""
-        total = jump(moving, self.found, window, u, along) if curves(self.found) else black(moving.rest)
+        total = jump(moving, self.found, window, u, along)
         return total + horizon(moving, self.found, window, u) if has_horizon(moving.rest.sky) else total
 
     def _vertex(self, moving, begun, choice, u):

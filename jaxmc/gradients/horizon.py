@@ -7,8 +7,8 @@ sampling as surfaces turn, those that a mirror shows as it turns; and over all o
 import jax.numpy as jnp
 
 from ..transport.lights import black
-from ..transport.sky import ZenithPolynomial
-from ..transport.vec import Vec3, dot, frame, where
+from ..transport.sky import ZenithPolynomial, zenith_of
+from ..transport.vec import dot, frame, where
 from .arcs import Cone, RimView, rim_arcs
 from .curves import Pieces, draw
 from .flows import motion, still
@@ -29,9 +29,8 @@ def horizon(world: World, found: Silhouettes, window: Window, u):
     Directions whose cosine z with the zenith rises from 0 leave the ground for the sky, so the integrand along the edge
     is the difference of both times the derivative of z, where nothing is in the way.
     """
-    sky, fixed = world.values.sky, still(world.values.sky)
-    up, zenith = (Vec3(*(jnp.zeros(()) if c is None else c for c in s.up)) for s in (sky, fixed))
-    one = jnp.ones(1)
+    sky, up = still(world.values.sky), zenith_of(world.values.sky)
+    zenith, one = still(up), jnp.ones(1)
     # It is the rim of a sphere that fills half of all directions.
     tangent, bitangent = frame(zenith)
     view = RimView(zenith, tangent, bitangent, one, 0.0 * one, one, one > 0.0)
@@ -44,5 +43,5 @@ def horizon(world: World, found: Silhouettes, window: Window, u):
     used = given.used & is_free & (chosen.density > 0.0)
     rise = motion(jnp.where(used, dot(up, wi if given.wi is None else given.wi), 0.0))
     weight = jnp.where(used, 1.0 / jnp.where(used, chosen.density, 1.0), 0.0)
-    step = still((fixed.coefficients[0] - fixed.ground) * given.weight)
+    step = still((sky.coefficients[0] - sky.ground) * given.weight)
     return where(used, step * (rise * weight), black(world.rest))

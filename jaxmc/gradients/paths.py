@@ -9,9 +9,7 @@ from ..transport.camera import Camera
 from ..transport.primitives import as_vec3
 from ..transport.scene import Scene
 from .boundary import Boundary
-from .curves import curves
 from .derivative import WithBoundary
-from .horizon import has_horizon
 from .mirrors import Mirrors, mirrors_of
 from .options import MovingOptions, MovingStrategy, of_paths
 from .receivers import AlongRay, AtPoint, OnFilm, OverFace
@@ -34,10 +32,9 @@ def moving_paths(scene: Scene, camera: Camera, *, bounces, **options: Unpack[Mov
     in plane mirrors.
 
     What is not covered is said in ``flags``: edges seen in curved mirrors, through glass or in more than two mirrors,
-    primitives that pass through each other, edges that overlap in part.
-    Primitives that share an edge count as one surface, and must move together. Derivatives of second order are wrong.
-    Where a surface that is seen meets another one, derivatives by its place have heavy tails, of one over the distance:
-    look at ``kurtosis``.
+    primitives that pass through each other, edges that overlap in part. Primitives that share an edge count as one
+    surface, and must move together. Derivatives of second order are wrong. Where a surface that is seen meets another
+    one, derivatives by its place have heavy tails, of one over the distance: look at ``kurtosis``.
 
     Args:
         scene: what is there.
@@ -125,8 +122,6 @@ def _moving(scene, receiver, place, bounces, options):
     mirrors = mirrors_of(scene, bounces)
     interior = Integrand(Interior(strategy, receiver, mirrors), len(labels), params, True, labels)
     found, flags = silhouettes_of(scene, bounces)
-    if found.known and not curves(found) and not has_horizon(scene.sky):
-        return WithBoundary(interior, None, flags, held=2)
     lamps = lamps_of(scene)
     if strategy.is_attached:
         # What is found by drawn directions alone counts with all else that they meet.

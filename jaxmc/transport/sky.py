@@ -91,6 +91,11 @@ def table_of_sky(sky, color: Callable):
     return ZenithPolynomial(sparse, tuple(map(color, coefficients)), None if ground is None else color(ground))
 
 
+def zenith_of(sky: ZenithPolynomial) -> Vec3:
+    """Return the direction of the zenith with all its components."""
+    return Vec3(*(jnp.zeros(()) if c is None else jnp.asarray(c) for c in sky.up))
+
+
 def sky_radiance(sky, direction: Vec3):
     """Return the radiance of a sky, as ``table_of_sky`` made it, in the direction of a unit vector."""
     if not isinstance(sky, ZenithPolynomial):
@@ -116,7 +121,7 @@ def sample_sky(sky, normal: Vec3, u1, u2):
         return tangent * local.x + bitangent * local.y + normal * local.z, 2.0 * np.pi, sky
     z = _sample_z(sky, u1)
     radius = root(larger((1.0 - z) * (1.0 + z), 0.0))
-    up = Vec3(*(jnp.zeros(()) if c is None else jnp.asarray(c) for c in sky.up))
+    up = zenith_of(sky)
     tangent, bitangent = frame(up)
     wi = tangent * (radius * cosine) + bitangent * (radius * sine) + up * z
     return wi, sky_inverse_pdf(sky, normal, wi), sky_radiance(sky, wi)
